@@ -16,7 +16,8 @@ from numba.core.registry import cpu_target
 from numba.extending import NativeValue, intrinsic, overload, register_model, typeof_impl, unbox
 from numpy.typing import NDArray
 
-from testbed.core.compiled import BundleType, look_of, without_counts
+from testbed.core.code_cache import BundleType
+from testbed.core.compiled import look_of, without_counts
 
 WORD = 8  # bytes
 # numba's type of values that look alike, and its size in bytes; both take long to find

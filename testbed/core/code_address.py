@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba.core import cgutils, datamodel, types
 from numba.extending import NativeValue, intrinsic, register_model, typeof_impl, unbox
 
-from testbed.core.compiled import CodeType
+from testbed.core.code_cache import CodeType
 
 
 class CodeAddress(int):

@@ -1,29 +1,15 @@
-"""Decorators for compiled inner loops.
+"""Decorators for compiled inner loops. What they compile is kept on disk, see code_cache.py."""
 
-Numba keys its disk cache on the file that defines a function, not on the files of the functions it
-calls, so after an edit of a callee it would silently run old machine code. We therefore keep one
-cache folder per content of *all* our source files: any edit gives a new folder and a new
-compilation.
-
-Code that involves a user's own files is compiled again in every process. Beside the machine code of
-a function, numba keeps a list of the argument types it has code for. A type from a user's file in
-that list cannot be loaded in a process that does not import the file, which makes the function
-unusable there; and an edit of that file would not be noticed.
-"""
-
-import hashlib
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
 from numba import types
 from numba.core import cgutils, config
-from numba.core.caching import FunctionCache
 from numba.extending import intrinsic, overload
 
+from testbed.core.code_cache import BundleType, OwnTypesCache, is_ours
 from testbed.core.whole_program import Entry
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -33,80 +19,6 @@ MOST_SEEN = 1000  # dtypes
 
 # The functions are not called from C: without C wrappers compilation takes 10 % less time.
 LEAN: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
-
-_ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = (
-    "testbed/core", "testbed/flight", "testbed/reproduction/kernel", "testbed/rig/fleet",
-    "controllers", "sim_twin",
-)  # fmt: skip
-
-
-def _source_digest() -> str:
-    digest = hashlib.blake2b(numba.__version__.encode(), digest_size=8)
-    for package in PACKAGES:
-        paths = sorted((_ROOT / package).rglob("*.py"))
-        if not paths:
-            raise FileNotFoundError(f"{_ROOT / package}: expected source files")
-        for path in paths:
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def _cache_folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "airbearing-testbed" / _source_digest()
-
-
-def is_ours(thing: Callable[..., Any]) -> bool:
-    """Whether a function or class is from a source file that determines the cache folder."""
-    names = (package.replace("/", ".") for package in PACKAGES)
-    return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
-
-
-class BundleType(types.Type):
-    """Numba's type of a `Bundle` of this inner type, see bundle.py."""
-
-    def __init__(self, inner: Any) -> None:
-        self.inner = inner
-        super().__init__(name=f"Bundle({inner})")
-
-
-class CodeType(types.Type):
-    """Numba's type of a `CodeAddress` of code with this signature, see code_address.py."""
-
-    def __init__(self, signature: Any) -> None:
-        self.signature = signature
-        super().__init__(name=f"CodeAddress({signature})")
-
-
-def _is_ours_throughout(kind: Any) -> bool:
-    """The same for a numba type; an unknown type is not ours."""
-    named, several = isinstance(kind, types.BaseNamedTuple), isinstance(kind, types.BaseTuple)
-    if named and not is_ours(kind.instance_class):
-        return False
-    if several:
-        return all(_is_ours_throughout(part) for part in kind)
-    if isinstance(kind, types.Array):
-        return _is_ours_throughout(kind.dtype)
-    if isinstance(kind, BundleType):
-        return _is_ours_throughout(kind.inner)
-    if isinstance(kind, CodeType):
-        return all(map(_is_ours_throughout, (kind.signature.return_type, *kind.signature.args)))
-    known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
-    return isinstance(kind, (*known, types.Omitted, types.Record))  # a record has numbers only
-
-
-class OwnTypesCache(FunctionCache):
-    """Keeps machine code for arguments of our own types only."""
-
-    def save_overload(self, sig: tuple[Any, ...], data: Any) -> None:
-        """Save `data`, compiled for these argument types, only if all types are ours."""
-        if all(_is_ours_throughout(kind) for kind in sig):
-            super().save_overload(sig, data)
-
-
-if "NUMBA_CACHE_DIR" not in os.environ:
-    vars(config)["CACHE_DIR"] = str(_cache_folder())
 
 
 def compiled(function: F) -> F:

@@ -11,6 +11,9 @@ first flight takes a quarter less processor time (decision 32). The arithmetic s
 because without fast-math no optimisation may change it.
 """
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +21,25 @@ from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
+
+from testbed.core.code_cache import OwnTypesCache
+
+SELDOM = 300_000, 5, 100  # thresholds of Python's garbage collector, see gc.set_threshold
+
+
+@contextmanager
+def seldom_collected() -> Iterator[None]:
+    """Let Python's garbage collector run a few hundred times less often.
+
+    The compiler makes millions of objects that live until it ends, and the collector would go
+    through all of them again and again: a quarter of the compiler's time, for 60 MB.
+    """
+    before = gc.get_threshold()
+    gc.set_threshold(*SELDOM)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 class PartLibrary(JITCodeLibrary):
@@ -102,11 +124,22 @@ class PartCompiler(EntryCompiler):
 class Entry(CPUDispatcher):
     """A function that Python calls; compiled code that calls it takes the part instead."""
 
+    _cache: Any  # numba's, or an OwnTypesCache
+
     def __init__(
         self, py_func: Any, locals: Any = None, targetoptions: Any = None,
         pipeline_class: Any = EntryCompiler,
     ) -> None:  # fmt: skip
         super().__init__(py_func, locals, targetoptions, pipeline_class)
+
+    def compile(self, sig: Any) -> Any:
+        """See numba."""
+        try:
+            with seldom_collected():
+                return super().compile(sig)
+        finally:
+            if isinstance(self._cache, OwnTypesCache):
+                self._cache.leave()
 
     @cached_property
     def part(self) -> CPUDispatcher:

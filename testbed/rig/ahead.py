@@ -1,12 +1,13 @@
 """Compiles parts of a flight's code in processes of their own, on the first flight on a machine.
 
-The compiler works on one core. While this process compiles the chain, one more compiles the plant
-and another the law; they meet in the cache on disk (core/compiled.py), where each finds what the
-others have finished. What is not there in time is compiled twice, and no result depends on it.
+The compiler works on one core. While this process compiles small functions, one more compiles the
+chain, another the plant and a third the law; they meet in the cache on disk (core/code_cache.py),
+where each finds what the others have finished and waits for what another one has begun.
 
     python -m testbed.rig.ahead PART    the experiment is read from standard input
 """
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -22,32 +23,55 @@ from controllers.own_law import OwnLawParams
 from sim_twin.radio import SIZE
 from testbed.config import Experiment
 from testbed.core.rows import States
-from testbed.core.types import Accel, Pose, State, Twist
-from testbed.rig.chain import make_guidance
+from testbed.core.types import Accel, Health, Inputs, Pose, State, Twist
+from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.twin import make_twin
 
 TICKS = 4  # of a law, until its ticks are single calls, see fleet/host.py
 DONE = "chain.step-*.nbi"  # in the cache: a flight has been compiled
+LOCK = "compiling.lock"  # in the cache: one flight at a time starts other processes
+
+LARGEST = "vehicle"  # of the parts
+GIVE_WAY = 10  # niceness of the others
 
 
 @contextmanager
 def compiling_ahead(experiment: Experiment) -> Iterator[None]:
-    """Let other processes compile meanwhile, if the cache is empty and cores are idle."""
-    parts = [part for part in PARTS if part != "law" or _is_ours(experiment)]
-    helpers = [_start(part, experiment) for part in parts] if _is_worth_it() else []
+    """Let other processes compile meanwhile, if the cache is empty and this flight is the first."""
+    with _first_flight() as first:
+        parts = [part for part in PARTS if part != "law" or _is_ours(experiment)]
+        helpers = [_start(part, experiment) for part in parts] if first else []
+        try:
+            yield
+        finally:
+            for one in helpers:
+                one.kill()
+                one.wait()
+
+
+@contextmanager
+def _first_flight() -> Iterator[bool]:
+    """Whether no code is there yet and no other flight has this cache's lock; else take it."""
+    cache = vars(config)["CACHE_DIR"]
+    folder = Path(cache or ".")
+    if not cache or (os.cpu_count() or 1) < 2 or next(folder.rglob(DONE), None) is not None:
+        yield False
+        return
     try:
-        yield
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError:  # numba finds another folder, or compiles for this process only
+        yield False
+        return
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        first = True
+    except OSError:
+        first = False
+    try:
+        yield first
     finally:
-        for one in helpers:
-            one.kill()
-            one.wait()
-
-
-def _is_worth_it() -> bool:
-    folder, cores = vars(config)["CACHE_DIR"], os.cpu_count() or 1
-    if not folder or os.getloadavg()[0] > cores - 1:
-        return False
-    return next(Path(folder).rglob(DONE), None) is None
+        os.close(lock)
 
 
 def _is_ours(experiment: Experiment) -> bool:
@@ -69,6 +93,12 @@ def _start(part: str, experiment: Experiment) -> "subprocess.Popen[bytes]":
     except BrokenPipeError:
         pass  # it has failed; this process compiles its part
     return process
+
+
+def vehicle(experiment: Experiment) -> None:
+    """Compile the chain."""
+    agent = make_agent(experiment, next(iter(experiment.vehicles)))
+    agent.step(Inputs(0.0, False, (), None, {}, Health(0.0, 0.0, 0.0)))
 
 
 def plant(experiment: Experiment) -> None:
@@ -98,8 +128,10 @@ def law(experiment: Experiment) -> None:
         rig.hosts[0].tick(rig.twin.now)
 
 
-PARTS: dict[str, Callable[[Experiment], None]] = {"plant": plant, "law": law}
+PARTS: dict[str, Callable[[Experiment], None]] = {"vehicle": vehicle, "plant": plant, "law": law}
 
 
 if __name__ == "__main__":
+    if sys.argv[1] != LARGEST:
+        os.nice(GIVE_WAY)
     PARTS[sys.argv[1]](msgspec.json.decode(sys.stdin.buffer.read(), type=Experiment))

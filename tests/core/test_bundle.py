@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from testbed.core.bundle import Bundle, layout_of, unpacked
-from testbed.core.compiled import BundleType, _is_ours_throughout, compiled, look_of
+from testbed.core.code_cache import BundleType, _is_ours_throughout
+from testbed.core.compiled import compiled, look_of
 
 
 class Inner(NamedTuple):

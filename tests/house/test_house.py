@@ -14,7 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from testbed.core import compiled
+from testbed.core import code_cache
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("testbed", "controllers", "sim_twin", "firmware_interface")
@@ -95,7 +95,7 @@ def test_what_is_compiled_is_kept_on_disk():
     """Elsewhere it would be compiled anew by every process."""
     marked = [p for p in MODULES if re.search(r"^@(compiled|inlined)", p.read_text(), re.M)]
     assert len(marked) > 20
-    kept = tuple(f"{package}/" for package in compiled.PACKAGES)
+    kept = tuple(f"{package}/" for package in code_cache.PACKAGES)
     assert [name_of(p) for p in marked if not name_of(p).startswith(kept)] == []
 
 

@@ -39,25 +39,44 @@ def started(monkeypatch):
     return found
 
 
-def test_no_process_is_left(started, monkeypatch):
-    monkeypatch.setattr(ahead, "_is_worth_it", lambda: True)
+@pytest.fixture
+def cache(monkeypatch, tmp_path):
+    """An empty folder for compiled code, on a machine with four cores."""
+    monkeypatch.setitem(vars(ahead.config), "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    return tmp_path / "cache"
+
+
+def test_no_process_is_left(started, cache):
     with ahead.compiling_ahead(load(find("hold"))):
-        assert len(started) == 2
+        assert len(started) == len(ahead.PARTS)
     assert all(one.returncode is not None for one in started)
 
 
-def test_none_is_started_where_it_would_not_help(started, monkeypatch, tmp_path):
-    experiment, cache = load(find("hold")), vars(ahead.config)
-    monkeypatch.setitem(cache, "CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    for load_now, done in ((3.5, False), (0.0, True)):
-        monkeypatch.setattr(os, "getloadavg", lambda now=load_now: (now, now, now))
-        if done:
-            (tmp_path / "chain.step-1.py311.nbi").touch()
-        with ahead.compiling_ahead(experiment):
-            assert not started
-    (tmp_path / "chain.step-1.py311.nbi").unlink()
-    assert ahead._is_worth_it()
+def test_none_is_started_where_code_is_there(started, cache):
+    cache.mkdir()
+    (cache / "chain.step-1.py311.nbi").touch()
+    with ahead.compiling_ahead(load(find("hold"))):
+        assert not started
+
+
+def test_none_is_started_on_one_core(started, cache, monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    with ahead.compiling_ahead(load(find("hold"))):
+        assert not started
+
+
+def test_flights_that_begin_together_start_them_once(started, cache):
+    with ahead.compiling_ahead(load(find("hold"))), ahead.compiling_ahead(load(find("hold"))):
+        assert len(started) == len(ahead.PARTS)
+    with ahead.compiling_ahead(load(find("hold"))):
+        assert len(started) == 2 * len(ahead.PARTS)  # the lock is free again
+
+
+def test_none_is_started_where_the_cache_cannot_be_written(started, cache):
+    cache.parent.joinpath("cache").touch()  # a file
+    with ahead.compiling_ahead(load(find("hold"))):
+        assert not started
 
 
 def test_a_users_law_runs_in_the_flights_process_only():
