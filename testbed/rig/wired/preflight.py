@@ -7,16 +7,14 @@ import zenoh
 from msgspec.structs import replace
 
 from testbed.config import Experiment
-from testbed.core.types import LawMessage, Setpoint, State
-from testbed.flight.agent import lead_time
 from testbed.flight.arming import Check, arming_checks
-from testbed.flight.loop import HostNode
 from testbed.net.commands import Answer, Look, Order, Ready, Refused, config_id
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, ask
 from testbed.realtime.wall_clock import monotonic_ns
-from testbed.rig.chain import expected_of, make_guidance
+from testbed.rig.chain import expected_of
 from testbed.rig.commissioning import not_commissioned
+from testbed.rig.wired.trial_call import objection
 
 
 def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:
@@ -31,48 +29,6 @@ def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         raise NetworkError(f"{name}: the answer to an order cannot be decoded") from None
     return answer
-
-
-class Stage:
-    """A `HostLink` for a single trial call of a law; its output is dropped."""
-
-    def __init__(self, own: State, others: dict[str, State]) -> None:
-        self._own, self._others = own, others
-
-    def own(self) -> State:
-        """See `HostLink`."""
-        return self._own
-
-    def neighbours(self) -> dict[str, State]:
-        """See `HostLink`."""
-        return self._others
-
-    def publish(self, setpoint: Setpoint) -> None:
-        """See `HostLink`."""
-
-    def messages(self) -> dict[str, LawMessage]:
-        """See `HostLink`."""
-        return {}
-
-    def broadcast(self, message: LawMessage) -> None:
-        """See `HostLink`."""
-
-
-def objection(experiment: Experiment, name: str, states: dict[str, State]) -> str:
-    """Error of a vehicle's law in a trial call with the current states; empty: no error.
-
-    The host makes this call also for a law that will run on board.
-    """
-    now = {other: replace(state, t=0.0) for other, state in states.items()}
-    stage = Stage(now.pop(name), now)
-    lead = lead_time(experiment.vehicles[name].model)
-    try:
-        guidance = make_guidance(experiment, name)
-    except Exception as error:  # a user's law may raise anything
-        return f"{type(error).__name__}: {error}"
-    node = HostNode(name, guidance, stage, experiment.flight.jet_period_s, lead)
-    fault = node.tick(0.0).outputs.fault
-    return "" if fault is None else fault.text
 
 
 class Preflight:

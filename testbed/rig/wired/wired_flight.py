@@ -206,7 +206,10 @@ class HostFlight:
         period = experiment.flight.jet_period_s
         hosts = [
             make_host(
-                experiment, name, self._links[name], partial(self._process_faults.spoilt, name)
+                experiment,
+                name,
+                self._links[name],
+                partial(self._process_faults.spoilt, name) if experiment.inject else None,
             )
             for name in self._names
             if experiment.deploy.law == "host"
