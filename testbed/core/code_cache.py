@@ -10,8 +10,8 @@ a function, numba keeps a list of the argument types it has code for. A type fro
 that list cannot be loaded in a process that does not import the file, which makes the function
 unusable there; and an edit of that file would not be noticed.
 
-Processes that start together compile a function once: one has its turn, the others wait for it and
-take its code from the disk.
+Processes that start together compile a function once: the first one locks it, the others wait and
+read its code from the disk.
 """
 
 import fcntl
@@ -49,12 +49,6 @@ def _cache_folder() -> Path:
     return Path(base) / "airbearing-testbed" / _source_digest()
 
 
-def is_ours(thing: Callable[..., Any]) -> bool:
-    """Whether a function or class is from a source file that determines the cache folder."""
-    names = (package.replace("/", ".") for package in PACKAGES)
-    return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
-
-
 class BundleType(types.Type):
     """Numba's type of a `Bundle` of this inner type, see bundle.py."""
 
@@ -69,6 +63,12 @@ class CodeType(types.Type):
     def __init__(self, signature: Any) -> None:
         self.signature = signature
         super().__init__(name=f"CodeAddress({signature})")
+
+
+def is_ours(thing: Callable[..., Any]) -> bool:
+    """Whether a function or class is from a source file that determines the cache folder."""
+    names = (package.replace("/", ".") for package in PACKAGES)
+    return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
 
 
 def _is_ours_throughout(kind: Any) -> bool:
@@ -93,13 +93,13 @@ class OwnTypesCache(FunctionCache):
 
     def __init__(self, py_func: Callable[..., Any]) -> None:
         super().__init__(py_func)
-        self._turn: int | None = None  # file that this process has locked
+        self._locked: int | None = None  # descriptor of the lock, while this process compiles
 
     def load_overload(self, sig: tuple[Any, ...], target_context: Any) -> Any:
-        """Code for these argument types; None: this process is to compile it, then call `leave`."""
+        """Code for these argument types; None: compile it, then call `unlock`."""
         found = super().load_overload(sig, target_context)
-        if found is None and self._turn is None and all(map(_is_ours_throughout, sig)):
-            self._turn = _turn(Path(self.cache_path) / f"{self._impl.filename_base}.lock")
+        if found is None and self._locked is None and all(map(_is_ours_throughout, sig)):
+            self._locked = _lock(Path(self.cache_path) / f"{self._impl.filename_base}.lock")
             found = super().load_overload(sig, target_context)
         return found
 
@@ -108,15 +108,15 @@ class OwnTypesCache(FunctionCache):
         if all(map(_is_ours_throughout, sig)):
             super().save_overload(sig, data)
 
-    def leave(self) -> None:
+    def unlock(self) -> None:
         """Let other processes compile this function."""
-        if self._turn is not None:
-            os.close(self._turn)
-            self._turn = None
+        if self._locked is not None:
+            os.close(self._locked)
+            self._locked = None
 
 
-def _turn(path: Path) -> int | None:
-    """A lock on this file, from the process that has it; None: there can be none."""
+def _lock(path: Path) -> int | None:
+    """Wait for the lock on this file and take it; None: files cannot be locked here."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)

@@ -40,7 +40,6 @@ from testbed.rig.ahead import compiling_ahead
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver, handles_single_ticks
 from testbed.rig.twin import TwinRig, make_twin, warm_up
-from testbed.rig.wired.trial_call import compile_host
 from testbed.run.interrupt import Interrupt
 from testbed.run.judge import measure
 from testbed.run.markers import scene_of
@@ -225,8 +224,6 @@ def fly_and_judge(
         with recorder, screen.showing():
             with interrupt.at_once(), patience(), compiling_ahead(experiment):
                 warm_up(experiment, lambda: interrupt.asked)
-                if rig.name != "twin":
-                    compile_host(experiment)
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)

@@ -44,6 +44,7 @@ from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.run_results import RunResults
 from testbed.rig.wired.table_report import TableReport
+from testbed.rig.wired.trial_call import compile_host
 from testbed.rig.wired.wired_flight import HostFlight
 
 READY_S = 180.0  # time for vehicles to get ready; the first start compiles
@@ -156,6 +157,7 @@ class WireRig:
 
     def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
+        compile_host(self.experiment)
         try:
             with ExitStack() as stack:
                 ending = self._fly(stack, observer, stopped)

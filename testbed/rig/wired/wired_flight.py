@@ -204,15 +204,11 @@ class HostFlight:
         """Fly to the end, to a fault, or until `stopped()`."""
         clock, experiment = self._party.clock, self._experiment
         period = experiment.flight.jet_period_s
+        names = self._names if experiment.deploy.law == "host" else ()
+        spoilt = self._process_faults.spoilt if experiment.inject else None
         hosts = [
-            make_host(
-                experiment,
-                name,
-                self._links[name],
-                partial(self._process_faults.spoilt, name) if experiment.inject else None,
-            )
-            for name in self._names
-            if experiment.deploy.law == "host"
+            make_host(experiment, name, self._links[name], spoilt and partial(spoilt, name))
+            for name in names
         ]
         self._observer = observer
         nodes = list(self._nodes.values())

@@ -1,0 +1,54 @@
+"""The host of wired vehicles has all code that it flies with before the flight begins.
+
+A host that compiles in flight is silent for seconds, and every vehicle stops. On a machine that
+has flown before, the code is read from the disk so quickly that it is not noticed; so this counts
+what is asked for.
+"""
+
+import subprocess
+import sys
+
+import pytest
+
+FLIES = """
+import sys
+from testbed.config import load, find
+from testbed.core.whole_program import Entry
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import warm_up
+from testbed.rig.wired.host import WireRig
+from testbed.rig.wired.wired_flight import HostFlight
+
+compiled, fly, flying = Entry.compile, HostFlight.fly, []
+
+def compile(entry, sig):
+    if flying:
+        print("in flight:", entry.py_func.__name__)
+    return compiled(entry, sig)
+
+def begins(flight, *args):
+    flying.append(True)
+    return fly(flight, *args)
+
+Entry.compile, HostFlight.fly = compile, begins
+experiment = load(find(sys.argv[1]), sys.argv[2:])
+warm_up(experiment)
+ending = WireRig(experiment, bench=True).fly(NullObserver())
+print("fault:", ending.fault and ending.fault.text)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["hold"],
+        ["hold", 'inject=[{kind="nan_law", vehicle="sat1", at_s=60.0}]'],
+        ["zhang2023_table"],
+        ["zhang2023_table_wrench"],
+    ],
+)
+def test_the_host_compiles_before_the_flight(words):
+    words = [sys.executable, "-c", FLIES, *words, "duration_s=1"]
+    found = subprocess.run(words, capture_output=True, text=True, check=True, timeout=400)
+    assert found.stdout == "fault: None\n"
