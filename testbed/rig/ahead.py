@@ -1,8 +1,8 @@
 """Compiles parts of a flight's code in processes of their own, on the first flight on a machine.
 
-The compiler works on one core. While this process compiles the chain, one more compiles the plant
-and another the law; they meet in the cache on disk (core/code_cache.py), where each finds what the
-others have finished and waits for what another one has begun.
+The compiler works on one core. While this process compiles small functions, one more compiles the
+chain, another the plant and a third the law; they meet in the cache on disk (core/code_cache.py),
+where each finds what the others have finished and waits for what another one has begun.
 
     python -m testbed.rig.ahead PART    the experiment is read from standard input
 """
@@ -23,13 +23,16 @@ from controllers.own_law import OwnLawParams
 from sim_twin.radio import SIZE
 from testbed.config import Experiment
 from testbed.core.rows import States
-from testbed.core.types import Accel, Pose, State, Twist
-from testbed.rig.chain import make_guidance
+from testbed.core.types import Accel, Health, Inputs, Pose, State, Twist
+from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.twin import make_twin
 
 TICKS = 4  # of a law, until its ticks are single calls, see fleet/host.py
 DONE = "chain.step-*.nbi"  # in the cache: a flight has been compiled
 LOCK = "compiling.lock"  # in the cache: one flight at a time starts other processes
+
+LARGEST = "vehicle"  # of the parts
+GIVE_WAY = 10  # niceness of the others
 
 
 @contextmanager
@@ -92,6 +95,12 @@ def _start(part: str, experiment: Experiment) -> "subprocess.Popen[bytes]":
     return process
 
 
+def vehicle(experiment: Experiment) -> None:
+    """Compile the chain."""
+    agent = make_agent(experiment, next(iter(experiment.vehicles)))
+    agent.step(Inputs(0.0, False, (), None, {}, Health(0.0, 0.0, 0.0)))
+
+
 def plant(experiment: Experiment) -> None:
     """Compile the twin's plant, cameras and links."""
     twin = make_twin(replace(experiment, board="model", inject=[], forks=[])).twin
@@ -119,8 +128,10 @@ def law(experiment: Experiment) -> None:
         rig.hosts[0].tick(rig.twin.now)
 
 
-PARTS: dict[str, Callable[[Experiment], None]] = {"plant": plant, "law": law}
+PARTS: dict[str, Callable[[Experiment], None]] = {"vehicle": vehicle, "plant": plant, "law": law}
 
 
 if __name__ == "__main__":
+    if sys.argv[1] != LARGEST:
+        os.nice(GIVE_WAY)
     PARTS[sys.argv[1]](msgspec.json.decode(sys.stdin.buffer.read(), type=Experiment))
