@@ -26,7 +26,7 @@ from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, Heard
 from testbed.flight.modulation import Carried
 from testbed.flight.nudges import AGO, LONG_AGO, Nudges
 from testbed.flight.record import record
-from testbed.flight.window import BLOCKS, Window
+from testbed.flight.window import BLOCKS, Window, width_of
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     one_a_jet: tuple[int, ...] = (jets,)
     causes = m + jets + COLUMNS
     window: list[tuple[int, ...]] = [
-        (m, m + 1), (BLOCKS, m + 2, 2 * jets + COLUMNS), (BLOCKS,), (1,), (2,), (3,),
+        (m, m + 1), (BLOCKS, m + 2, width_of(jets)), (BLOCKS,), (1,), (2,), (3,),
     ]  # fmt: skip
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
@@ -88,7 +88,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         Carried: 3 * [one_a_jet],
         Memory: [
             one_a_jet, one_a_jet, (2 * jets,),
-            (m, m + 1), (1, m + 2, 2 * jets + COLUMNS), (1,), (1,), (2,), (3,), one_a_jet,
+            (m, m + 1), (1, m + 2, width_of(jets)), (1,), (1,), (2,), (3,), one_a_jet,
         ],
     }  # fmt: skip
     everything = np.zeros(size + sum(math.prod(s) for each in shapes.values() for s in each))

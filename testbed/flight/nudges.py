@@ -56,9 +56,9 @@ def add(columns, place, parts, weight, x):
 def judge(columns, least, y, found):
     """Write the nudge that explains most to `found`, a record of VERDICT."""
     count = columns.shape[1] // 3
-    memory = np.empty((3, 3 * count))
-    part, fits, own = borrowed((memory[0], memory[1], memory[2]))
-    suspect(columns, least, y, part, fits, own)
+    memory = np.empty((6, 3 * count))
+    parts, fits, own = borrowed((memory[:4], memory[4], memory[5]))
+    suspect(columns, least, y, parts, fits, own)
     for h in range(count):
         x, gain_x = gained(fits[h], own[h], -MOST, MOST)
         y_, gain_y = gained(fits[count + h], own[count + h], -MOST, MOST)

@@ -21,6 +21,7 @@ class Turn:
         self._start, self._angle, self._t = start, wrap(end - start), t
         # the quintic's peak acceleration is 10/sqrt(3) angle / span^2
         self._span = max(1e-3, math.sqrt(10.0 / math.sqrt(3.0) * abs(self._angle) / accel))
+        self._end = self._quintic(1.0)
 
     def at(self, t: float) -> tuple[float, float, float]:
         """Heading [rad], turn rate [rad/s], angular acceleration [rad/s^2]."""
@@ -28,7 +29,12 @@ class Turn:
             late, alpha = max(0.0, t - self._begun), -self._rate / self._braking
             rate = self._rate + alpha * late
             return self._first + 0.5 * (self._rate + rate) * late, rate, alpha
-        s = min(1.0, max(0.0, (t - self._t) / self._span))
+        if (s := (t - self._t) / self._span) >= 1.0:
+            return self._end
+        return self._quintic(max(0.0, s))
+
+    def _quintic(self, s: float) -> tuple[float, float, float]:
+        """The same after a share `s` of the time from start to end."""
         a, w = self._angle, 1.0 / self._span
         return (
             self._start + a * s**3 * (10.0 - 15.0 * s + 6.0 * s * s),

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, keep
-from testbed.flight.hypotheses import KINDS, LEAK, WEAK, score
+from testbed.core.compiled import borrowed, compiled, inlined, keep
+from testbed.flight.hypotheses import COLUMNS, KINDS, LEAK, WEAK, score
 from testbed.flight.record import Kind, record
 
 Array = NDArray[np.float64]
@@ -18,6 +18,7 @@ BLOCKS = 25
 BEGUN = (1, 2, 3, 4, 5, 7, 10, 14, 24)  # tested beginnings [blocks ago]; the look is in block 0
 WHITE = 2.6  # variance of the difference of two residuals, in variances of one
 OUTLIER = 9.0  # variances: a larger residual in a look is not noise
+SIDE_BY_SIDE = 16  # columns that a processor's loop takes at once; a rest is taken one by one
 MOST = 1.2  # largest leak of a jet, in multiples of its thrust
 
 SUSPICION = record(  # the best of its kind
@@ -40,11 +41,16 @@ class Window(NamedTuple):
     """What was heard, changed in place."""
 
     told: Array  # z'z, and z'e as the last column, (m, m + 1)
-    blocks: Array  # of jets, leaks, causes: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n + COLUMNS), a ring
+    blocks: Array  # of jets, leaks, causes: x'z, x'x, x'e, (BLOCKS, m + 2, width_of(n)), a ring
     worth: Array  # what is not forgotten of each block since it was the newest, (BLOCKS,)
     newest: Array  # place of the newest block, (1,)
     spread: Array  # variance of the residual, push and turn, (2,)
     last: Array  # previous residual, (3,)
+
+
+def width_of(jets: int) -> int:
+    """Columns of a window's blocks: of each jet, its leak and the other causes; the last are 0."""
+    return -(-(2 * jets + COLUMNS) // SIDE_BY_SIDE) * SIDE_BY_SIDE
 
 
 @compiled
@@ -109,7 +115,7 @@ def listen(window, x, trust, keep, rough, white):
             block[k, i] = keep * block[k, i] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
         for i in range(m, rows):
             block[k, i - 4] = keep * block[k, i - 4] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
-    for h in range(block.shape[1]):
+    for h in range(rows - 4):
         i = h if h < n else h + 4
         a, b, c = x[0, i] * push, x[1, i] * push, x[2, i] * spun
         block[m, h] = keep * block[m, h] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
@@ -146,41 +152,63 @@ def factor(told, sure, slope):
     return least, y
 
 
+@inlined
+def add_product(least, i, q, since, parts):
+    """Add what rows q to q + 3 of `since` give in rows i to i + 3 of L^-1 z'x, see `suspect`."""
+    one, two, three, four = since[q], since[q + 1], since[q + 2], since[q + 3]
+    p0, p1, p2, p3 = parts[0], parts[1], parts[2], parts[3]
+    a0, a1, a2, a3 = least[i, q], least[i, q + 1], least[i, q + 2], least[i, q + 3]
+    i += 1
+    b0, b1, b2, b3 = least[i, q], least[i, q + 1], least[i, q + 2], least[i, q + 3]
+    i += 1
+    c0, c1, c2, c3 = least[i, q], least[i, q + 1], least[i, q + 2], least[i, q + 3]
+    i += 1
+    d0, d1, d2, d3 = least[i, q], least[i, q + 1], least[i, q + 2], least[i, q + 3]
+    for h in range(since.shape[1]):
+        a, b, c, d = one[h], two[h], three[h], four[h]
+        p0[h] += a0 * a + a1 * b + a2 * c + a3 * d
+        p1[h] += b0 * a + b1 * b + b2 * c + b3 * d
+        p2[h] += c0 * a + c1 * b + c2 * c + c3 * d
+        p3[h] += d0 * a + d1 * b + d2 * c + d3 * d
+
+
 @compiled
-def suspect(since, least, y, part, fits, own):
+def suspect(since, least, y, parts, fits, own):
     """Write S_j and N_j of jet_faults' first lines for every suspicion to `fits` and `own`.
 
-    They are computed side by side, from four numbers of z at a time: a processor does several at a
-    time, and one after the other they took most of a tick.
+    They are computed side by side, and four rows of L^-1 z'x from four of z'x at a time: a
+    processor does several columns at a time and seldom waits for memory. One suspicion after the
+    other, they took most of a tick.
 
     Args:
         since: columns x'z, x'x, x'e, one for each suspicion, shape (m + 2, count).
         least: see `factor`.
         y: see `factor`.
-        part: working memory, shape (count,).
+        parts: working memory, shape (4, count).
         fits: shape (count,).
         own: shape (count,).
     """
     m, count = y.shape[0], since.shape[1]
+    by_fours = m - m % 4
+    p0, p1, p2, p3 = parts[0], parts[1], parts[2], parts[3]
     for h in range(count):
         own[h], fits[h] = since[m, h], since[m + 1, h]
-    for i in range(m):
+    for i in range(0, by_fours, 4):
+        parts[:] = 0.0
+        for q in range(0, i + 4, 4):
+            add_product(least, i, q, since, parts)
+        y0, y1, y2, y3 = y[i], y[i + 1], y[i + 2], y[i + 3]
         for h in range(count):
-            part[h] = 0.0
-        q, fours = 0, (i + 1) // 4
-        for _ in range(fours):
-            a, b, c, d = least[i, q], least[i, q + 1], least[i, q + 2], least[i, q + 3]
-            one, two, three, four = since[q], since[q + 1], since[q + 2], since[q + 3]
+            own[h] -= p0[h] * p0[h] + p1[h] * p1[h] + p2[h] * p2[h] + p3[h] * p3[h]
+            fits[h] -= y0 * p0[h] + y1 * p1[h] + y2 * p2[h] + y3 * p3[h]
+    for i in range(by_fours, m):
+        p0[:] = 0.0
+        for q in range(i + 1):
             for h in range(count):
-                part[h] += a * one[h] + b * two[h] + c * three[h] + d * four[h]
-            q += 4
-        for k in range(q, i + 1):
-            a, one = least[i, k], since[k]
-            for h in range(count):
-                part[h] += a * one[h]
+                p0[h] += least[i, q] * since[q, h]
         for h in range(count):
-            own[h] -= part[h] * part[h]
-            fits[h] -= part[h] * y[i]
+            own[h] -= p0[h] * p0[h]
+            fits[h] -= y[i] * p0[h]
 
 
 @compiled
@@ -199,8 +227,8 @@ def decide(window, least, y, period, every, found):
     """
     blocks, worth, now = window.blocks, window.worth, int(window.newest[0])
     m, n, count = y.shape[0], y.shape[0] - 4, blocks.shape[2]
-    sums, memory = np.zeros((m + 2, count)), np.empty((3, count))
-    since, part, fits, own = borrowed((sums, memory[0], memory[1], memory[2]))
+    sums, memory = np.zeros((m + 2, count)), np.empty((6, count))
+    since, parts, fits, own = borrowed((sums, memory[:4], memory[4], memory[5]))
     began, best = 0, 0.0
     for k in range(blocks.shape[0]):
         place = (now + k) % blocks.shape[0]
@@ -210,7 +238,7 @@ def decide(window, least, y, period, every, found):
                 since[i, h] += left * block[i, h]
         if not (every or k in BEGUN):
             continue
-        suspect(since, least, y, part, fits, own)
+        suspect(since, least, y, parts, fits, own)
         for h in range(2 * n):
             if own[h] <= 1e-6 * since[-2, h] or own[h] < 1e-9:
                 continue

@@ -1,8 +1,12 @@
 """Compiled functions that call each other: linked whole, for our own entries and for others'."""
 
+import sys
+
 import numba
 import numpy as np
 import pytest
+from numba.core.runtime import rtsys
+from numba.core.runtime._nrt_python import memsys_enable_stats
 
 from testbed.core.compiled import compiled, inlined
 
@@ -33,6 +37,15 @@ def right(x):
 def both(x):
     """`innermost` is called along four ways, and before and after other functions."""
     return left(x) * right(x) + innermost(x)
+
+
+@compiled
+def turned_round(x, times):
+    """Makes and drops an array each time; the last one is returned, or `x` itself."""
+    kept = x
+    for _ in range(times):
+        kept = kept[::-1] + 0.0
+    return kept[1:]
 
 
 @numba.njit
@@ -70,3 +83,29 @@ def test_an_error_deep_inside_reaches_the_caller():
 
 def test_a_function_is_called_from_python_and_from_compiled_code():
     assert (innermost(X), left(X)) == (6.0, 6.0 + 7.25 + 1.0)
+
+
+def test_owners_of_arrays_are_counted_without_calls():
+    turned_round(X, 1)
+    (code,) = [one.library.get_llvm_str() for one in turned_round.overloads.values()]
+    assert "NRT_MemInfo_alloc" in code
+    assert "call void @NRT_incref" not in code
+    assert "call void @NRT_decref" not in code
+
+
+@pytest.mark.parametrize("times", [0, 1, 2, 7])
+def test_an_array_lives_as_long_as_its_owners(times):
+    memsys_enable_stats()
+    x = X.copy()
+    turned_round(x, times)
+    before, owners = rtsys.get_allocation_stats(), sys.getrefcount(x)
+    found = turned_round(x, times)
+    assert found.tolist() == (x[::-1] if times % 2 else x)[1:].tolist()
+    made = rtsys.get_allocation_stats()
+    assert made.alloc - before.alloc >= times
+    assert made.mi_alloc - made.mi_free - (before.mi_alloc - before.mi_free) == 1  # `found` lives
+    assert sys.getrefcount(x) == owners + (times == 0)
+    del found
+    after = rtsys.get_allocation_stats()
+    assert after.mi_alloc - after.mi_free == before.mi_alloc - before.mi_free
+    assert sys.getrefcount(x) == owners

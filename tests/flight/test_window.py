@@ -100,15 +100,16 @@ def test_a_cause_that_began_later_keeps_its_beginning(after):
     assert found.way == pytest.approx(pull, abs=1e-3)
 
 
-def test_suspicions_are_what_is_left_without_the_uncertain_parameters():
+@pytest.mark.parametrize("m", [8, 9, 10, 11, 12, 20])  # of 4 to 16 jets
+def test_suspicions_are_what_is_left_without_the_uncertain_parameters(m):
     rng = np.random.default_rng(4)
-    z, x, e = rng.normal(size=(40, M)), rng.normal(size=(40, 11)), rng.normal(size=40)
-    sure, slope = rng.uniform(1.0, 9.0, M), 0.3
+    z, x, e = rng.normal(size=(40, m)), rng.normal(size=(40, 11)), rng.normal(size=40)
+    sure, slope = rng.uniform(1.0, 9.0, m), 0.3
     told = np.column_stack((z.T @ z, z.T @ e))
     least, y = factor(told, sure, slope)
     since = np.vstack((z.T @ x, (x * x).sum(axis=0), x.T @ e))
     fits, own = np.empty(11), np.empty(11)
-    suspect(since, least, y, np.empty(11), fits, own)
+    suspect(since, least, y, np.empty((4, 11)), fits, own)
     sure[-2:] = slope
     inverse = np.linalg.inv(z.T @ z + np.diag(sure))
     left = np.eye(40) - z @ inverse @ z.T
