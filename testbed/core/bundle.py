@@ -61,7 +61,7 @@ def layout_of(value: Any) -> tuple[bytes, int]:
         TypeError: for a value that is not made of arrays and numbers.
     """
     if isinstance(value, np.ndarray):
-        place = value.__array_interface__["data"][0]  # `ctypes.data` takes three times as long
+        place = value.ctypes.data
         words = 0, 0, value.size, value.itemsize, place, *value.shape, *value.strides
         return pack(f"{len(words)}q", *words), WORD
     if isinstance(value, tuple):
