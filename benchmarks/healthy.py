@@ -21,8 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.config import ConfigError, find, load
-from testbed.rig.observers import NullObserver
+from testbed.flight.hypotheses import CAUSES
 from testbed.rig.twin import make_twin
+from testbed.run.drill import Notes
 
 RANGES = {  # name: low, high
     "open delay [ms]": (5.0, 60.0),
@@ -51,6 +52,7 @@ class Flown(NamedTuple):
     text: str
     contacts: int
     jets: str = ""  # that were named and compensated, although they are healthy
+    warned: tuple[str, ...] = ()  # rows that named a cause of motion, although there is none
 
 
 def draw(seed: int, number: int) -> dict[str, float]:
@@ -108,8 +110,8 @@ def fly(seed: int, number: int, lasts: float) -> Flown:
     drawn = draw(seed, number)
     try:
         experiment = load(find(name_of(number)), overrides_of(drawn, number, lasts))
-        rig = make_twin(experiment)
-        ending = rig.fly(NullObserver())
+        rig, notes = make_twin(experiment), Notes()
+        ending = rig.fly(notes)
     except ConfigError as error:
         return Flown(number, drawn, "refused", str(error).replace("\n", " "), 0)
     fault = ending.fault
@@ -120,7 +122,11 @@ def fly(seed: int, number: int, lasts: float) -> Flown:
         for k, jet in enumerate(rig.jets(name), 1)
         if jet.words
     )
-    return Flown(number, drawn, "" if fault is None else fault.id, text, len(rig.touches), jets)
+    words = {detector.words for detector in CAUSES}
+    causes = {name for name, row in experiment.faults.items() if row.detector in words}
+    warned = tuple(sorted({row for _, _, row in notes.rows} & causes))
+    cause = "" if fault is None else fault.id
+    return Flown(number, drawn, cause, text, len(rig.touches), jets, warned)
 
 
 def corner(drawn: dict[str, float]) -> str:
@@ -158,12 +164,15 @@ def main() -> int:
             print(f"{one.number}: {one.contacts} contacts, {one.text}\n    {corner(one.drawn)}")
         if one.jets:
             print(f"{one.number}: {one.jets}\n    {corner(one.drawn)}")
+        if one.warned:
+            print(f"{one.number}: {', '.join(one.warned)}\n    {corner(one.drawn)}")
     causes = Counter(one.cause for one in flown if one.cause)
     contacts = sum(one.contacts for one in flown)
     named = sum(bool(one.jets) for one in flown)
     print(
         f"{len(flown)} flights, {sum(causes.values())} false stops, {contacts} contacts,"
-        f" {named} in which a healthy jet was compensated"
+        f" {named} in which a healthy jet was compensated,"
+        f" {sum(bool(one.warned) for one in flown)} in which a cause of motion was named"
     )
     for cause, count in causes.most_common():
         print(f"  {cause}: {count}")

@@ -14,9 +14,9 @@ LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 UNLIKE = 0.6  # largest gain of a leak beside it, as a share
 PART = 0.15  # smallest missing share of thrust that is worth a warning
 DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
-# Least gain in the window of filtered looks: 4.7 sigma. A jet that was not used before its fault
+# Least gain in the window of filtered looks: 4.3 sigma. A jet that was not used before its fault
 # and lacks 30 % is 6 sigma of the tolerance (THRUST) from its file, however long it fires.
-FINE_SURE = 11.0
+FINE_SURE = 9.2
 FINE_DOUBT = 0.1  # as DOUBT
 
 
