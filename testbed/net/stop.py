@@ -99,13 +99,10 @@ def _stop_here() -> Iterator[bool]:
             yield _stop_wires(flight)
         else:
             yield _stop_twin(note, flight)
-    if DEFAULT not in tried:
-        flight = StoppableFlight(DEFAULT)
-        if _listens(DEFAULT):
-            yield _stop_wires(flight)
-        elif shut := _stop_directly(flight, _new_id()):
-            yield _report(flight, set(), shut, "no host listens", {})
-    for note, flight in killed:  # last: each takes DIRECT_S, and its vehicles shut by themselves
+    unknown = StoppableFlight(DEFAULT)  # perhaps there is one without a note
+    if listens := DEFAULT not in tried and _listens(DEFAULT):
+        yield _stop_wires(unknown)
+    for note, flight in killed:  # after the others: one whose vehicles are gone takes DIRECT_S
         shut = set()
         if flight.endpoint:
             shut = _stop_directly(flight, _new_id())
@@ -113,6 +110,8 @@ def _stop_here() -> Iterator[bool]:
             yield _report(flight, set(flight.vehicles), shut, why, {})
         if not shut:  # the second stop needs the note
             note.unlink(missing_ok=True)
+    if DEFAULT not in tried and not listens and (shut := _stop_directly(unknown, _new_id())):
+        yield _report(unknown, set(), shut, "no host listens", {})
 
 
 def _listens(endpoint: str) -> bool:

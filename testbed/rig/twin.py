@@ -16,7 +16,7 @@ from sim_twin.board import Board, FirmwareBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import ConfigError, Experiment, Fork
 from testbed.core.codes import FaultId, FaultReport
-from testbed.core.fault_injection import ON_WIRES
+from testbed.core.fault_injection import ON_WIRES, Injection
 from testbed.core.jets import JetHealth
 from testbed.core.landing import landing_delay
 from testbed.core.law import Concern
@@ -52,6 +52,7 @@ from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
 
 WARM = 8  # ticks
+LATER = 1e9  # never in a warm-up [s]
 
 
 class Reseeding:
@@ -339,12 +340,17 @@ def make_twin(
 
 
 def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> None:
-    """Fly a few ticks of the experiment, so that all code is compiled before the flight.
+    """Fly a few ticks of the experiment to rest, so that all code is compiled before the flight.
 
-    A law is flown tick by tick at first (fleet/host.py), then many ticks are one call.
+    A law is flown tick by tick at first (fleet/host.py), then many ticks are one call. At the end
+    vehicles are flown tick by tick again: a stop must not wait for the compiler.
     """
     period = experiment.flight.jet_period_s
     for one in stages(experiment):
-        short = replace(one, duration_s=WARM * period, board="model", inject=[], forks=[])
-        make_twin(short).fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
+        # a law that a fault may spoil is flown in another way, also before the fault
+        later = [Injection("nan_law", name, at_s=LATER) for name in one.vehicles if one.inject]
+        short = replace(one, duration_s=WARM * period, board="model", inject=later, forks=[])
+        rig = make_twin(short)
+        ending = rig.fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
+        rig.come_to_rest(ending, NullObserver(), stopped)
     characterise(np.eye(2))

@@ -229,6 +229,18 @@ def test_a_host_that_lives_is_stopped_before_those_that_were_killed(here, capsys
     assert capsys.readouterr().out == f"{stopping.DEFAULT}\n  sat1: stops\n{ONCE_MORE}\n"
 
 
+def test_vehicles_of_a_killed_host_do_not_wait_for_the_default_address(here, monkeypatch):
+    """To ask vehicles that may be nowhere takes the whole time for an answer."""
+    killed = StoppableFlight("tcp/127.0.0.1:1", pid=1, started="never", vehicles=["sat1"])
+    asked = []
+    monkeypatch.setattr(stopping, "known_flights", lambda: [(here / "0", killed)])
+    monkeypatch.setattr(
+        stopping, "_stop_directly", lambda flight, stop: asked.append(flight.endpoint) or set()
+    )
+    assert list(stopping._stop_here()) == [False]
+    assert asked == [killed.endpoint, stopping.DEFAULT]
+
+
 # Flights on the twin
 
 

@@ -1,8 +1,9 @@
-"""The host of wired vehicles has all code that it flies with before the flight begins.
+"""All code that a flight needs is compiled before it begins, also that of its end.
 
-A host that compiles in flight is silent for seconds, and every vehicle stops. On a machine that
-has flown before, the code is read from the disk so quickly that it is not noticed; so this counts
-what is asked for.
+A host of wired vehicles that compiles in flight is silent for seconds, and every vehicle stops. A
+flight on the twin that compiles at its end does not answer `testbed stop` in time. On a machine
+that has flown before, the code is read from the disk so quickly that it is not noticed; so this
+counts what is asked for.
 """
 
 import subprocess
@@ -52,3 +53,47 @@ def test_the_host_compiles_before_the_flight(words):
     words = [sys.executable, "-c", FLIES, *words, "duration_s=1"]
     found = subprocess.run(words, capture_output=True, text=True, check=True, timeout=400)
     assert found.stdout == "fault: None\n"
+
+
+ENDS = """
+import sys
+from testbed.config import load, find
+from testbed.core.whole_program import Entry
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import make_twin, warm_up
+
+compiled, made = Entry.compile, []
+
+def compile(entry, sig):
+    if made and tuple(sig) not in entry.overloads:
+        print("in flight:", entry.py_func.__name__)
+    return compiled(entry, sig)
+
+class Watched(NullObserver):
+    ticks = None if sys.argv[1] == "tick by tick" else NullObserver.ticks
+
+Entry.compile = compile
+experiment = load(find(sys.argv[2]), sys.argv[3:])
+warm_up(experiment)
+made.append(rig := make_twin(experiment))
+ending = rig.fly(Watched(), lambda: rig.twin.now > 4.0)
+rig.come_to_rest(ending, Watched())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["tick by tick", "many ticks at once"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["hold"],
+        ["hold", "flight.ending.after=hold", "flight.ending.hold_s=2"],
+        ["hold", 'inject=[{kind="stick_open", vehicle="sat1", jet=2, at_s=2.0}]'],
+        ["zhang2023_table"],
+        ["xue2022_table"],
+    ],
+)
+def test_the_twin_compiles_before_the_flight(way, words):
+    words = [sys.executable, "-c", ENDS, way, *words]
+    found = subprocess.run(words, capture_output=True, text=True, check=True, timeout=400)
+    assert found.stdout == ""
