@@ -124,9 +124,9 @@ class EntryLibrary(JITCodeLibrary):
 
     def _optimize_final_module(self) -> None:
         """See numba, which has these two passes and not what is between them."""
-        module, numbas = self._final_module, cast(Any, self.codegen)
-        passes_of = numbas._module_pass_manager  # noqa: SLF001
-        loops, level = numbas._loopvect, numbas._opt_level  # noqa: SLF001
+        module, codegen = self._final_module, cast(Any, self.codegen)
+        passes_of = codegen._module_pass_manager  # noqa: SLF001
+        loops, level = codegen._loopvect, codegen._opt_level  # noqa: SLF001
         cheap, builder = passes_of(
             loop_vectorize=loops, slp_vectorize=False, opt=level, cost="cheap"
         )

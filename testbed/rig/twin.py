@@ -349,7 +349,10 @@ def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> N
     for one in stages(experiment):
         # a law that a fault may spoil is flown in another way, also before the fault
         later = [Injection("nan_law", name, at_s=LATER) for name in one.vehicles if one.inject]
-        short = replace(one, duration_s=WARM * period, board="model", inject=later, forks=[])
+        brief = replace(one.flight, ending=replace(one.flight.ending, hold_s=WARM * period))
+        short = replace(
+            one, duration_s=WARM * period, board="model", inject=later, forks=[], flight=brief
+        )
         rig = make_twin(short)
         ending = rig.fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
         rig.come_to_rest(ending, NullObserver(), stopped)
