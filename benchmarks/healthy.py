@@ -7,9 +7,9 @@ thrust, the mass, the cameras' rate and noise, the table's slope, the spread of 
 of 60 ms of the cameras, and losses of the radio; `RANGES` has the limits. Two vehicles fly the
 start of zhang2023's experiment or one vehicle moves a metre and turns a radian.
 
-Prints each false stop, contact, compensated jet and named cause of motion (`pulled`, for instance; a
-healthy vehicle has none) with the corner of the ranges in which it lies,
-then a count by cause. `--show K` prints the command that repeats flight K.
+Prints each false stop, contact, compensated jet and named cause of motion (a healthy vehicle has
+none) with the corner of the ranges in which it lies, then a count by cause. `--show K` prints the
+command that repeats flight K.
 """
 
 import argparse
