@@ -240,6 +240,7 @@ class Recorder:
         Raises:
             RecorderError: it cannot.
         """
+        self._open()
         assert self._writer.stdin is not None
         assert self._writer.stderr is not None
         if not select.select([self._writer.stderr], [], [], 4.0 * PATIENCE_S)[0]:
@@ -304,6 +305,7 @@ class Recorder:
         Raises:
             RecorderError: the writer has ended or hangs.
         """
+        self._open()
         try:
             self._push()
             while self._waits and len(self._pending) > self._lead:
@@ -313,6 +315,13 @@ class Recorder:
         except BrokenPipeError:
             self._pending.clear()
             raise RecorderError(self._last_words()) from None
+
+    def _open(self) -> None:
+        """Raise what ended the writer, if it has ended and was heard."""
+        assert self._writer.stdin is not None
+        if self._writer.stdin.closed:
+            self._pending.clear()
+            raise RecorderError(self._reason)
 
     def _push(self) -> int:
         """Write without waiting; returns the number of bytes."""

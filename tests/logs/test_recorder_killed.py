@@ -195,6 +195,33 @@ def test_the_flight_hears_of_it(tmp_path):
     assert stamps(tmp_path / "log.mcap")
 
 
+@pytest.mark.parametrize("span", [SPAN_NS, 10**10], ids=["ticks", "blocks of ticks"])
+def test_a_flight_that_goes_on_after_it_hears_the_same(span, tmp_path):
+    """Rows that are still in memory when the writer ends are lost; the reason is not."""
+
+    def fly() -> None:
+        with Recorder(
+            tmp_path / "log.mcap", warn_below=10**18, end_below=10**18, span_ns=span
+        ) as recorder:
+            for k in range(10**6):
+                recorder.write("/truth", PERIOD * k, Truth(PERIOD * k, {"sat1": HERE}))
+                try:
+                    recorder.mark(PERIOD * k)
+                except RecorderError as error:
+                    said.append(str(error))
+                    break
+            for k in range(3000):  # more than fits in a block or a pipe
+                recorder.write("/truth", 1e4 + k, Truth(1e4 + k, {"sat1": HERE}))
+                with pytest.raises(RecorderError, match="No space left on device"):
+                    recorder.mark(1e4 + 20.0 * k)
+
+    said: list[str] = []
+    with pytest.raises(RecorderError, match="No space left on device") as last:
+        fly()
+    assert said == [str(last.value)]
+    assert stamps(tmp_path / "log.mcap")
+
+
 def test_a_warning_reaches_the_flight(tmp_path):
     heard: list[str] = []
     with Recorder(tmp_path / "log.mcap", warn_below=10**18, end_below=0) as recorder:
