@@ -6,7 +6,7 @@ from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import bad_jet, permanent
 from testbed.flight.hypotheses import DRAG, NUDGE, PULL, THRUST, TURNED, certain
-from testbed.flight.jet_faults import look, pause
+from testbed.flight.jet_faults import look, note_pull, pause
 from testbed.flight.permanent import lateness, surest
 from testbed.flight.record import NO_SETPOINT, record
 from testbed.flight.window import forget
@@ -61,6 +61,9 @@ def compare(p, m, heard, always, window, row, duty, thrust_scale):
         look(p, m, heard, state, duty, thrust_scale)
         if nudged(p, m) > 0.0:  # once, but it would stay in the sums of the whole flight
             permanent.restart(always, window)
+        if m.look != before and m.summed == 0:
+            permanent.refute(always, m.far)
+            note_pull(p, m, heard)
         if m.look != before and m.summed == p.long - 1:  # the next one clears the sums
             permanent.hear(p, always, window, heard, m.far)
     else:

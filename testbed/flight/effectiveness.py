@@ -2,7 +2,8 @@
 
 Least squares over the same looks as `jet_faults`, with a memory of minutes: the residual momentum
 is explained by the thrust of every jet, the centre of mass and the slope together. The estimate is
-shown and flown by nothing: a vehicle with healthy jets flies as its file says.
+shown and flown by nothing: a vehicle with healthy jets flies as its file says. A pull that begins or
+ends in flight looks like weak jets, so then the estimate begins anew.
 """
 
 import numpy as np
@@ -16,23 +17,25 @@ WHITENESS = 2.0  # the residuals of successive looks depend on each other: sigma
 
 
 @compiled
-def learn(slow, spread, x, period, rough):
+def learn(slow, spread, x, bias, period, rough):
     """Add a look to the sums, in place.
 
     Args:
         slow: z'z, and z'e as the last column, shape (m, m + 1).
         spread: variance of the residual, push and turn, shape (2,).
         x: z first, and the residual as the last column, see jet_faults.residual.
+        bias: what the residual lacks, the mean of unexplained acceleration [m/s^2], shape (2,).
         period: of a look [s].
         rough: see jet_faults.Known.
     """
     m, last = slow.shape[0], x.shape[1] - 1
     push, spun, keep = 1.0 / (spread[0] + rough), 1.0 / spread[1], 1.0 - min(0.5, period / MEMORY_S)
+    ex, ey, turn = x[0, last] + period * bias[0], x[1, last] + period * bias[1], x[2, last]
     for i in range(m):
         a, b, c = x[0, i] * push, x[1, i] * push, x[2, i] * spun
         for k in range(m):
             slow[i, k] = keep * slow[i, k] + (a * x[0, k] + b * x[1, k] + c * x[2, k])
-        slow[i, m] = keep * slow[i, m] + (a * x[0, last] + b * x[1, last] + c * x[2, last])
+        slow[i, m] = keep * slow[i, m] + (a * ex + b * ey + c * turn)
 
 
 @compiled

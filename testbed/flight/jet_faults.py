@@ -34,7 +34,7 @@ from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import causes, least_of, pads_of
+from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of
 from testbed.flight.nudges import Nudges, hear, hear_long, judge
 from testbed.flight.record import record
 from testbed.flight.response import quiet, response
@@ -100,6 +100,7 @@ MEMORY = record(
     summed=int,  # looks in `Heard.sums`
     stretches=int,  # sums so far
     began=int,  # block of the long window in which its best cause began
+    pulled=float,  # size of the pull of which the long window is sure [m/s^2]; 0: none
     far=record(**VERDICT),  # of the long window
     fine=record(**VERDICT),  # see whitened.py
     **VERDICT,  # of the short one
@@ -243,17 +244,18 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         heard.calm[1] = bias
     for axis in range(2):
         sums[axis, -1] += known.period * bias[axis]
-        bias[axis] += settling * x[axis, -1] / known.period
     if m.look % known.block == 0:
         age(near, 0)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
     listen(near, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
     hear(heard.nudges.near, known.shown, m.look, weight, known.keep, x)
-    learn(heard.slow, near.spread, x, known.period, known.rough)
+    learn(heard.slow, near.spread, x, bias, known.period, known.rough)
+    for axis in range(2):
+        bias[axis] += settling * x[axis, -1] / known.period
     if m.look % SHOWN == 0:
-        slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
-        resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)
+        slope = known.slope * known.slope + known.bumps * known.bumps + m.pulled * m.pulled
+        resolve(heard.slow, known.sure, 1.0 / slope, heard.off, heard.sigma)
     slope = known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * m.counted)
     root = factor(near.told, known.sure, 1.0 / slope)
     least, y = borrowed(root)
@@ -268,6 +270,16 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         weigh_whitened(heard.fine, known.sure, 1.0 / slope, known.period, m.fine)
         weigh_long(known, m, heard)
     keep((own, root))
+
+
+@compiled
+def note_pull(known, m, heard):
+    """Keep the pull of which the long window is sure. When it begins or ends, forget the jets."""
+    sure = certain(m.far.gains, m.far.sizes, known.least, PULL)
+    pulled = m.far.sizes[PULL] if sure > 0.0 else 0.0
+    if (pulled > 0.0) != (m.pulled > 0.0):
+        heard.slow[:] = 0.0
+    m.pulled = pulled
 
 
 @compiled

@@ -6,6 +6,9 @@ from one second to the next, and it forgets the start, where a vehicle pushes ha
 seconds have the same weight, none is forgotten, and the noise is what the best cause leaves of
 the residuals. Only the first second says nothing: the estimator finds its velocity in it, and up
 to 10 mm/s of that look like a push. See the first lines of `jet_faults` for the arithmetic.
+
+The long window forgets when a hose began to pull, and then takes it for a wrong mass. So once it
+was sure of a cause that began in flight, causes that were there before are refuted for good.
 """
 
 from typing import Any
@@ -32,6 +35,7 @@ from testbed.flight.record import record
 from testbed.flight.window import VERDICT, WHITE, Window, clear, decide, factor, forget, listen
 
 KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
+NEVER_LATER = (THRUST, MASS, TURNED)  # causes that are tested since the start only
 TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
 BELIEVED = 9.0  # weight of the spread at the start [residuals]
 
@@ -56,10 +60,6 @@ def hear(p, m, window, heard, far):
         heard: jet_faults.Heard.
         far: VERDICT of the long window.
     """
-    for kind in KINDS:
-        other = beyond(far.gains, kind)
-        if other > SURE and other > far.gains[better(far.gains, kind)] + CLEAR:
-            m.later[kind] = 1.0
     if m.begun == 0:
         m.begun, m.noise = 1, SPREAD * SPREAD
         return
@@ -86,6 +86,24 @@ def hear(p, m, window, heard, far):
 
 
 @compiled
+def refute(m, far):
+    """Note what the long window refutes, and take it out of its verdict.
+
+    Args:
+        m: MEMORY, changed in place.
+        far: VERDICT of the long window, changed in place.
+    """
+    for kind in KINDS:
+        own = far.gains[better(far.gains, THRUST if kind == MASS else kind)]
+        other = beyond(far.gains, kind)
+        if other > SURE and other > own + CLEAR:
+            m.later[kind] = 1.0
+    for kind in NEVER_LATER:
+        if m.later[kind] > 0.0:
+            far.gains[kind] = far.sizes[kind] = 0.0
+
+
+@compiled
 def restart(m, window):
     """Begin anew."""
     m.begun, m.sums, m.squares, m.noise, m.later[:] = 0, 0, 0.0, 0.0, 0.0
@@ -103,7 +121,7 @@ def certain_always(far, m, least, kind):
         least: smallest size of each kind that is a fault.
         kind: see hypotheses.py.
     """
-    since = m.later[kind] == 0.0 and far.gains[kind] + CLEAR > beyond(far.gains, kind)
+    since = m.later[kind] == 0.0 and far.gains[kind] >= beyond(far.gains, kind)
     return certain(m.gains, m.sizes, least, kind) if since else 0.0
 
 

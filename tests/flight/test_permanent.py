@@ -5,7 +5,18 @@ import pytest
 
 from testbed.flight import detectors, permanent
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import ALL, DELAYED, LATE, PULL, ROTATED, THRUST, TURNED
+from testbed.flight.hypotheses import (
+    ALL,
+    DELAYED,
+    DRAG,
+    LATE,
+    LEAK,
+    MASS,
+    PULL,
+    ROTATED,
+    THRUST,
+    TURNED,
+)
 from testbed.flight.jet_faults import known_of
 from testbed.flight.memory import make_memory
 from testbed.flight.record import ROW
@@ -32,6 +43,7 @@ class Flight:
         sums[:2, first + DELAYED] = PUSH * self.rng.standard_normal(2)
         explained = size * sums[:, first + column] if column is not None else np.zeros(3)
         sums[:, -1] = explained + NOISE * self.rng.standard_normal(3) + jump
+        permanent.refute(self.m, self.far)
         permanent.hear(self.p, self.m, self.memory.permanent, self.memory.heard, self.far)
 
     def sigmas(self, kind):
@@ -93,6 +105,27 @@ def test_what_began_later_is_left_to_the_long_window(flight):
     flight.second(ROTATED, np.radians(15.0))
     flight.far.gains[PULL] = 0.0  # the long window forgets
     assert flight.sigmas(TURNED) == 0.0
+
+
+@pytest.mark.parametrize("begins", [PULL, DRAG, LEAK])
+def test_what_the_long_window_has_refuted_is_not_its_answer_later(flight, begins):
+    """It forgets when a hose began to pull; then a wrong mass explains the motion better."""
+    gains, sizes = flight.far.gains, flight.far.sizes
+    gains[begins], gains[MASS], gains[THRUST] = 50.0, 45.0, 40.0
+    permanent.refute(flight.m, flight.far)
+    assert flight.sigmas(THRUST) == gains[MASS] == gains[THRUST] == 0.0
+    gains[begins], gains[MASS], sizes[MASS] = 30.0, 60.0, -0.4
+    permanent.refute(flight.m, flight.far)
+    assert flight.sigmas(THRUST) == gains[MASS] == sizes[MASS] == 0.0
+    assert gains[begins] == 30.0
+
+
+@pytest.mark.parametrize(("pull", "mass"), [(12.0, 1.0), (50.0, 48.0), (50.0, 60.0)])
+def test_the_long_window_refutes_only_what_it_is_sure_of(flight, pull, mass):
+    flight.far.gains[PULL], flight.far.gains[MASS], flight.far.sizes[MASS] = pull, mass, -0.4
+    permanent.refute(flight.m, flight.far)
+    assert flight.far.gains[MASS] == mass
+    assert bool(flight.sigmas(THRUST)) == (mass > pull)
 
 
 def test_old_poses_silence_it_until_the_next_second(flight):

@@ -19,7 +19,7 @@ from testbed.flight import allocation, modulation
 from testbed.flight.allocation import AllocatorParams, weakest_force
 from testbed.flight.modulation import SigmaDeltaParams
 from testbed.flight.reconfiguration import LEAST, change, culprit, room, suffices, whole_of
-from testbed.metrics.run_metrics import with_jets
+from testbed.metrics.run_metrics import weakest_jet, with_jets
 from testbed.rig.observers import MetricsObserver, NullObserver
 from testbed.rig.twin import make_twin
 from testbed.run.judge import measure
@@ -201,6 +201,17 @@ def test_the_effectiveness_of_jets_is_within_its_sigmas():
         assert min(one.sigma for one in jets) < 0.2
         assert all(0.0 <= one.share <= 1.5 and 0.0 < one.sigma <= 0.3 for one in jets)
     assert np.abs(off).max() < 3.0
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_hose_is_no_wrong_mass_and_no_weak_jet(seed):
+    """A vehicle that holds against it fires the same jets all the time: 8 times its mass, or 50 %."""
+    hose = Injection("hose", "sat1", at_s=10.0, value=0.2, towards_deg=40.0)
+    ending, metrics = flown(inject=[hose], seed=seed, lasts=60.0)
+    assert ending.fault is None
+    shares = [(one.share, one.sigma) for one in metrics.jets["sat1"]]
+    assert all(share > 1.0 - 3.0 * sigma for share, sigma in shares)
+    assert (weakest_jet(metrics, "sat1") or 1.0) > 0.9
 
 
 def test_the_benchmark_takes_thrust_from_its_weak_jet():
