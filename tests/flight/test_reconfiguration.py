@@ -205,7 +205,7 @@ def test_the_effectiveness_of_jets_is_within_its_sigmas():
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_hose_is_no_wrong_mass_and_no_weak_jet(seed):
-    """A vehicle that holds against it fires the same jets all the time: 8 times its mass, or 50 %."""
+    """A vehicle that holds against it fires the same jets all the time."""
     hose = Injection("hose", "sat1", at_s=10.0, value=0.2, towards_deg=40.0)
     ending, metrics = flown(inject=[hose], seed=seed, lasts=60.0)
     assert ending.fault is None
