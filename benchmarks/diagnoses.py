@@ -94,7 +94,13 @@ FAULTS = {
     "frame creep, reference": Fault("creep_frame", (0.01, 0.03), FRAME, watched=True),
     "heading jump 2-5 deg": Fault("turn_body", (2.0, 5.0), ("heading_shifted",)),
     "heading off 6-19 deg": Fault(
-        "turn_body", (6.0, 19.0), ("heading_off",), "", (), 60.0, from_start=True
+        "turn_body",
+        (6.0, 19.0),
+        ("heading_off", "heading_may_be_off"),
+        "",
+        (),
+        60.0,
+        from_start=True,
     ),
     "poses 0.15-0.4 s late": Fault(
         "delay_mocap", (0.15, 0.4), ("poses_late",), either=("poses_step_back",)
