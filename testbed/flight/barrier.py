@@ -101,11 +101,12 @@ def speed_left(gap, closing, speed, decel, hard, slow):
 
 
 @compiled
-def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, thrust_scale, bx, by):
-    """Add a hazard's half-plane if it could matter; returns the rows in use."""
-    left = speed_left(
-        gap, closing, speed, thrust_scale * limits.decel, thrust_scale * limits.hard, limits.slow
-    )
+def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, share, bx, by):
+    """Add a hazard's half-plane if it could matter; returns the rows in use.
+
+    `share` of the planned deceleration is responsibility times `thrust_scale`, see `filtered`.
+    """
+    left = speed_left(gap, closing, speed, share * limits.decel, share * limits.hard, limits.slow)
     # -n f <= m ((c1 - c0) / T + n b)
     h = limits.mass * ((left - closing) / limits.period + nx * bx + ny * by)
     if h < 3.0 * limits.force:
@@ -131,7 +132,8 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         discs: rows (x, y, vx, vy, distance of the centres to keep, responsibility); a
             responsibility below 1 is another vehicle's.
         limits: constants.
-        thrust_scale: of the jets' force at the present supply pressure.
+        thrust_scale: the jets' force at the present supply pressure, and without those taken out,
+            as a share of the usual one.
 
     Returns:
         fx, fy, deciding hazard or -1 (number of the disc; then right, left, upper, lower edge; then
@@ -141,7 +143,7 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
     n = discs.shape[0]
     planes = np.empty((n + 5, 4))
     count, spare = 0, np.inf
-    ahead = 0.5 * limits.period
+    ahead, hard = 0.5 * limits.period, thrust_scale * limits.hard
     speed = np.sqrt(vx * vx + vy * vy)
     for k in range(n):
         rx, ry = px - discs[k, 0], py - discs[k, 1]
@@ -153,13 +155,14 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         relative = -(nx * ux + ny * uy)
         moves = discs[k, 5] == 1.0 and (discs[k, 2] != 0.0 or discs[k, 3] != 0.0)
         if relative > 0.0 and not moves:
-            spare = min(spare, gap - relative * relative / (2.0 * limits.hard))
+            spare = min(spare, gap - relative * relative / (2.0 * hard))
         if discs[k, 5] < 1.0:
             closing, moving = -(nx * vx + ny * vy), speed
             gap -= limits.period * max(0.0, nx * discs[k, 2] + ny * discs[k, 3])
         else:
             closing, moving = relative, np.sqrt(ux * ux + uy * uy)
-        count = bound(planes, count, nx, ny, gap, closing, moving, k, limits, discs[k, 5], bx, by)
+        share = thrust_scale * discs[k, 5]
+        count = bound(planes, count, nx, ny, gap, closing, moving, k, limits, share, bx, by)
     for edge in range(4):
         side = 1.0 - 2.0 * (edge % 2)
         if edge < 2:
@@ -167,8 +170,10 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         else:
             gap, closing, nx, ny = limits.half_y - side * py, side * vy, 0.0, -side
         if closing > 0.0:
-            spare = min(spare, gap - closing * closing / (2.0 * limits.hard))
-        count = bound(planes, count, nx, ny, gap, closing, speed, n + edge, limits, 1.0, bx, by)
+            spare = min(spare, gap - closing * closing / (2.0 * hard))
+        count = bound(
+            planes, count, nx, ny, gap, closing, speed, n + edge, limits, thrust_scale, bx, by
+        )
     if speed > 0.5 * limits.speed:
         gx, gy = vx / speed, vy / speed
         planes[count, 0], planes[count, 1] = gx, gy
@@ -189,7 +194,7 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
 
 
 @compiled
-def around(t, px, py, speed, obstacles, others, limits):
+def around(t, px, py, speed, obstacles, others, limits, thrust_scale):
     """Relevant hazards at time `t`: all obstacles, and neighbours within reach.
 
     Args:
@@ -200,13 +205,14 @@ def around(t, px, py, speed, obstacles, others, limits):
         obstacles: at time 0, rows as in `filtered`.
         others: rows (x, y, vx, vy, distance of the centres to keep, time of the row).
         limits: constants.
+        thrust_scale: see `filtered`.
 
     Returns:
         discs as in `filtered`, and the row of each in obstacles and others together.
     """
     discs = np.empty((obstacles.shape[0] + others.shape[0], 6))
     rows = np.empty(discs.shape[0], dtype=np.int64)
-    count = obstacles.shape[0]
+    count, decel = obstacles.shape[0], thrust_scale * limits.decel
     for k in range(count):
         discs[k], rows[k] = obstacles[k], k
         discs[k, 0] += t * obstacles[k, 2]
@@ -219,7 +225,7 @@ def around(t, px, py, speed, obstacles, others, limits):
         keep = others[k, 4] + 0.5 * limits.decel * late * late
         x, y = others[k, 0] + on * vx, others[k, 1] + on * vy
         fast = speed + np.hypot(vx, vy) + FASTER
-        if np.hypot(px - x, py - y) > keep + fast * (fast / limits.decel + limits.slow):
+        if np.hypot(px - x, py - y) > keep + fast * (fast / decel + limits.slow):
             continue
         discs[count, 0], discs[count, 1], discs[count, 2], discs[count, 3] = x, y, vx, vy
         discs[count, 4], discs[count, 5] = keep, 0.5
@@ -241,7 +247,7 @@ def standing(discs):
 @compiled
 def guarded(t, fx, fy, px, py, vx, vy, bx, by, obstacles, others, limits, thrust_scale):
     """`filtered` with the hazards from `around`, numbered in obstacles and others, then edges."""
-    discs, rows = around(t, px, py, np.hypot(vx, vy), obstacles, others, limits)
+    discs, rows = around(t, px, py, np.hypot(vx, vy), obstacles, others, limits, thrust_scale)
     x, y, hazard, spare = filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale)
     ex, ey, runner, room = escape(x, y, px, py, vx, vy, bx, by, discs, limits, thrust_scale)
     if runner >= 0:

@@ -237,7 +237,8 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     for axis in range(3):
         for i in range(x.shape[1]):
             sums[axis, i] += x[axis, i]
-    whiten(heard.white, known.passes, x, bias, known.period)
+    if m.counted > known.long:  # before, the estimator settles; that looks like a push
+        whiten(heard.white, known.passes, x, bias, known.period)
     settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
     if m.look % CALM == 0:
         heard.calm[0] = heard.calm[1]
@@ -262,9 +263,10 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     decide(near, least, y, known.period, False, m)
     judge(heard.nudges.near, least, y, m)
     m.summed += 1
-    hear_whitened(
-        heard.fine, heard.white, known.quiet, known.passes, known.rough, m.counted, known.period
-    )
+    if m.counted > known.long:
+        hear_whitened(
+            heard.fine, heard.white, known.quiet, known.passes, known.rough, m.counted, known.period
+        )
     if m.summed == known.long:
         slope = known.bumps * known.bumps + known.slope * known.slope
         weigh_whitened(heard.fine, known.sure, 1.0 / slope, known.period, m.fine)

@@ -108,8 +108,8 @@ def test_deep_inside_it_backs_out_slowly():
 # One vehicle
 
 
-def use(force, place, velocity, discs=(), bias=(0.0, 0.0), limits=LIMITS):
-    return filtered(*force, *place, *velocity, *bias, discs_of(discs), limits, 1.0)
+def use(force, place, velocity, discs=(), bias=(0.0, 0.0), limits=LIMITS, strength=1.0):
+    return filtered(*force, *place, *velocity, *bias, discs_of(discs), limits, strength)
 
 
 def test_far_from_everything_the_demand_is_untouched():
@@ -167,10 +167,11 @@ def test_a_demand_that_is_no_number_is_left_to_the_watch():
 # In flight
 
 
-def simulate(seed, vehicles, obstacles, wants, seconds=40.0):
+def simulate(seed, vehicles, obstacles, wants, seconds=40.0, strength=1.0):
     """Vehicles under the filter, with noise, latency of what is heard, and jets that are not true.
 
-    `wants(rng, i, t, p, v)` is the law of vehicle i: a force within the jets'.
+    `wants(rng, i, t, p, v)` is the law of vehicle i: a force within the jets'. Of that the jets
+    give the share `strength`.
 
     Returns:
         smallest room to the fence, to the danger radii and between two rims [m].
@@ -192,8 +193,9 @@ def simulate(seed, vehicles, obstacles, wants, seconds=40.0):
             others = [(*seen[j], *old_v[j], KEEP, 0.5) for j in range(len(p)) if j != i]
             place = p[i] + 3e-4 * rng.standard_normal(2)
             velocity = v[i] + 1.5e-3 * rng.standard_normal(2)
-            wanted = wants(rng, i, k * PERIOD, p, v)
-            force[i] = use(wanted, place, velocity, [*discs, *others], bias[i])[:2]
+            wanted = strength * np.array(wants(rng, i, k * PERIOD, p, v))
+            rocks = [*discs, *others]
+            force[i] = use(wanted, place, velocity, rocks, bias[i], strength=strength)[:2]
         noisy = gain + 0.03 * rng.standard_normal((len(p), 1))
         a = force * noisy / MASS + bias + 5e-4 * rng.standard_normal(p.shape)
         p, v = p + PERIOD * (v + 0.5 * PERIOD * a), v + PERIOD * a
@@ -256,6 +258,23 @@ def test_no_adversary_hits_anything(batch):
         assert edge > 0.0, seed
         assert rock > 0.0, seed
         assert pair > 0.0, seed
+
+
+@pytest.mark.parametrize("strength", [0.4, 0.7])
+def test_nor_with_a_jet_less_or_little_pressure(strength):
+    for seed in range(2000, 2029):
+        rng = np.random.default_rng(seed)
+        places, obstacles = layout(rng, 2 + seed % 4)
+        laws = Adversaries(rng, len(places), obstacles)
+        room = simulate(seed, places, obstacles, laws, seconds=60.0, strength=strength)
+        assert min(room) > 0.0, (seed, room)
+
+
+@pytest.mark.parametrize("strength", [1.0, 0.5, 0.25])
+def test_a_weak_vehicle_stops_before_the_edge(strength):
+    push = (FORCE / np.sqrt(2.0), FORCE / np.sqrt(2.0))
+    edge, *_ = simulate(1, [(0.0, 0.3)], [], lambda *_: push, strength=strength)
+    assert 0.0 < edge < 0.2
 
 
 def test_a_law_that_flies_straight_at_an_obstacle_is_stopped_short_of_it():
@@ -333,6 +352,14 @@ def test_with_little_pressure_less_is_planned(barrier):
     weak = barrier.filter(0.0, (1.0, 0.0), (2.75, 0.0, 0.1, 0.0, 0.0, 0.0), {}, thrust_scale=0.5)
     assert abs(weak[0]) <= 0.5 * FORCE + 1e-9
     assert full[0] == pytest.approx(-FORCE)
+
+
+def test_with_little_pressure_a_stop_begins_earlier(barrier):
+    motion = (2.3, 2.0, 0.16, 0.0, 0.0, 0.0)
+    full = barrier.filter(0.0, (0.3, 0.0), motion, {})
+    weak = barrier.filter(0.0, (0.3, 0.0), motion, {}, thrust_scale=0.5)
+    assert full[0] == pytest.approx(0.3)
+    assert weak[0] < -0.3
 
 
 def test_reaches_are_of_the_others():

@@ -25,6 +25,7 @@ from testbed.rig.twin import make_twin
 from testbed.run.judge import measure
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from filter import scenario
 from jets_left import WEAK, Case, experiment_of
 
 WAYS = 24  # directions of the linear programs
@@ -201,6 +202,14 @@ def test_the_effectiveness_of_jets_is_within_its_sigmas():
         assert min(one.sigma for one in jets) < 0.2
         assert all(0.0 <= one.share <= 1.5 and 0.0 < one.sigma <= 0.3 for one in jets)
     assert np.abs(off).max() < 3.0
+
+
+def test_full_thrust_while_the_estimator_settles_names_no_jet():
+    """A velocity that is found in the first second looks like a push, and stayed in the window."""
+    experiment = replace(scenario(342, 41), duration_s=5.0)
+    rig = make_twin(experiment)
+    rig.fly(NullObserver())
+    assert not [one.words for name in experiment.vehicles for one in rig.jets(name) if one.words]
 
 
 @pytest.mark.parametrize("seed", [3, 4])
