@@ -3,7 +3,11 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 LOG_FROM = 6.0  # ratio of largest to least number that calls for a logarithmic axis
 
@@ -27,6 +31,13 @@ class Axis(Struct, frozen=True):
         if self.log:
             return math.log(max(value, self.low) / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
+
+    def shares(self, values: Array) -> Array:
+        """`share` of many numbers, shape (n,)."""
+        if self.log:
+            ratios = np.maximum(values, self.low) / self.low
+            return np.log(ratios) / math.log(self.high / self.low)
+        return (values - self.low) / (self.high - self.low)
 
     def value(self, share: float) -> float:
         """The number at a share of the axis."""

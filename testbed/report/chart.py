@@ -36,6 +36,7 @@ APART = 14.0  # least distance of two limits' names, baseline to baseline
 THINNEST = 0.7  # width of a bar, so that a pulse of milliseconds is visible in a run of minutes
 TIME = "time [s]"  # label of a time axis
 MARKS = 4  # on a line
+BEYOND = (-0.02, 1.02)  # shares of the height; what is further out is drawn there
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
 LETTER, ROW = 7.2, 18  # of a legend: width of a letter, height of a row
 
@@ -157,7 +158,8 @@ class _Frame:
         return found
 
     def y(self, value: float) -> float:
-        share = min(max(self.y_axis.share(value), -0.02), 1.02)
+        low, high = BEYOND
+        share = min(max(self.y_axis.share(value), low), high)
         return self.bottom - (self.bottom - self.top) * share
 
     def axes(self) -> list[str]:
@@ -238,14 +240,12 @@ class _Frame:
             x, y = thinned(x, y, self.chart.width)
         elif len(x) > 1500:
             x, y = x[:: len(x) // 1500 + 1], y[:: len(y) // 1500 + 1]
-        pieces, pen = [], "M"
-        for a, b in zip(x.tolist(), y.tolist(), strict=True):
-            if math.isnan(a) or math.isnan(b):
-                pen = "M"
-                continue
-            pieces.append(f"{pen}{self.x.at(a):.1f} {self.y(b):.1f}")
-            pen = "L"
-        return "".join(pieces)
+        across = self.x.start + (self.x.end - self.x.start) * self.x.shares(x)
+        up = self.bottom - (self.bottom - self.top) * self.y_axis.shares(y).clip(*BEYOND)
+        gaps = np.isnan(across) | np.isnan(up)
+        ends = np.flatnonzero(np.diff(gaps, prepend=True, append=True))  # of each piece
+        points = list(map("{:.1f} {:.1f}".format, across.tolist(), up.tolist()))
+        return "".join("M" + "L".join(points[a:b]) for a, b in ends.reshape(-1, 2).tolist())
 
     def _marks(self, line: Line) -> str:
         """The vehicle's shape a few times along its line, where several lines are told apart."""
