@@ -1,11 +1,12 @@
 """The detectors of the fault table: each gives a number that measures a deviation."""
 
+import math
 from typing import NamedTuple
 
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import bad_jet, permanent
-from testbed.flight.hypotheses import DRAG, NUDGE, PULL, THRUST, TURNED, certain
+from testbed.flight.hypotheses import DRAG, NUDGE, PULL, SURE, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, note_pull, pause
 from testbed.flight.permanent import lateness, surest
 from testbed.flight.record import NO_SETPOINT, record
@@ -59,7 +60,7 @@ def compare(p, m, heard, always, window, row, duty, thrust_scale):
     ours = abs(row.told.clock_offset) < SAME_CLOCK
     if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
-        if nudged(p, m) > 0.0:  # once, but it would stay in the sums of the whole flight
+        if nudged(p, m) > math.sqrt(2.0 * SURE):  # once, but it would stay in the sums of the whole flight
             permanent.restart(always, window)
         if m.look != before and m.summed == 0:
             permanent.refute(always, m.far)
@@ -167,7 +168,7 @@ def explain(p, m, seen, known, suspected, always, row, samples):
     return (
         bad_jet.sigmas(far.weak) if bad_jet.is_partly_weak(far) else 0.0,
         pull,
-        sizes[PULL] / p.holding if pull > 0.0 else 0.0,
+        sizes[PULL] / p.holding if pull > 0.0 and gains[PULL] > SURE else 0.0,
         certain(gains, sizes, least, DRAG),
         surest(far, always, least, THRUST),
         surest(far, always, least, TURNED),

@@ -47,7 +47,8 @@ LEAST_SCALE = 0.25  # of thrust or mass; the safety filter allows for 10 %
 LEAST_TURN = math.radians(4.0)
 LEAST_DELAY = 0.07  # [s]
 LEAST_NUDGE = 5e-3  # [m/s]; less does not disturb a flight
-SURE = 12.5  # least gain of a cause: 5 sigma
+WORTH = 8.0  # least gain of a cause that gets a number: 4 sigma
+SURE = 12.5  # of one that brakes, or refutes others: 5 sigma
 CLEAR = 3.0  # difference in gain that separates two causes (a factor e^3 in likelihood)
 
 
@@ -142,7 +143,7 @@ def outlasts(gains, kind):
 @compiled
 def certain(gains, sizes, least, kind):
     """Sigmas of a cause that is large enough and explains more than any other; 0: it does not."""
-    clear = gains[kind] > SURE and gains[kind] > beyond(gains, kind) + CLEAR
+    clear = gains[kind] > WORTH and gains[kind] > beyond(gains, kind) + CLEAR
     clear = clear and (kind == NUDGE or outlasts(gains, kind))
     return np.sqrt(2.0 * gains[kind]) if clear and abs(sizes[kind]) > least[kind] else 0.0
 
