@@ -1,30 +1,47 @@
-"""Duration of a vehicle's tick on board, in flight, beside an earlier version.
+"""Duration of a vehicle's tick on board, in flight.
 
-    python benchmarks/chain.py [--before CHECKOUT] [--rounds 3]
+    python benchmarks/chain.py [--experiment zhang2023_table] [--seconds 60] [--rounds 3]
 
-zhang2023_table, three vehicles, fault monitor and safety filter on, law on the host. Printed is the
-lower quartile of each call in microseconds, which other work on the machine disturbs least: of
-`Agent.step`, structs in and out, and of the compiled chain in it, where there is one. CHECKOUT is a
-folder with an earlier version; both fly in turns, and the ratio is printed, too.
+The flight is flown on the twin; its first vehicle then flies again with what it heard, tick by
+tick, as on the bench. Fault monitor and safety filter are on, the law is on the host. Printed are
+quantiles in microseconds of the best round, because other work on the machine disturbs: of
+`Agent.step`, structs in and out, and of the compiled chain in it.
 """
 
 import argparse
-import json
-import os
-import subprocess
-import sys
 import time
-from pathlib import Path
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
+from testbed.config import Experiment, find, load
+from testbed.core.types import Inputs
+from testbed.realtime.scheduling import no_garbage_collection
+from testbed.rig.chain import make_agent
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import make_twin
+
+STARTED = 100  # first ticks, which are not counted
+SHARES = (0.25, 0.5, 0.99)
 
 
-def timed(function, times: list[float]):
+class Ear(NullObserver):
+    """Keeps what a vehicle heard."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self.heard = name, list[Inputs]()
+
+    def vehicle(self, name: str, tick: Any) -> None:
+        """A vehicle's tick."""
+        if name == self._name:
+            self.heard.append(tick.inputs)
+
+
+def timed(function: Callable[..., Any], times: list[float]) -> Callable[..., Any]:
     """Wrap a function so that its durations are recorded [s]."""
 
-    def call(*args):
+    def call(*args: Any) -> Any:
         began = time.perf_counter()
         try:
             return function(*args)
@@ -34,62 +51,38 @@ def timed(function, times: list[float]):
     return call
 
 
-def measure(seconds: float) -> dict[str, float]:
-    """Lower quartiles of one flight [us]."""
-    from testbed.config import find, load  # of the version that PYTHONPATH names
-    from testbed.flight.agent import Agent
-    from testbed.realtime.scheduling import no_garbage_collection
-    from testbed.rig.observers import NullObserver
-    from testbed.rig.twin import make_twin, warm_up
-
-    experiment = load(find("zhang2023_table"), [f"duration_s={seconds}"])
-    warm_up(experiment)
-    ticks: list[float] = []
-    compiled: list[float] = []
-    Agent.step = timed(Agent.step, ticks)
-    rig = make_twin(experiment)
-    for node in rig.vehicles:
-        agent = node._agent
-        if hasattr(agent, "memory"):
-            agent._step = timed(agent._step, compiled)
+def measure(experiment: Experiment, name: str, heard: list[Inputs]) -> dict[str, list[float]]:
+    """Quantiles of one flight [us]."""
+    agent = make_agent(experiment, name)
+    ticks, compiled = list[float](), list[float]()
+    agent._step = timed(agent._step, compiled)
+    step = timed(agent.step, ticks)
     with no_garbage_collection():
-        rig.fly(NullObserver())
+        for inputs in heard:
+            step(inputs)
     found = {"Agent.step": ticks, "chain.step": compiled}
-    return {name: 1e6 * float(np.quantile(t[100:], 0.25)) for name, t in found.items() if t}
-
-
-def in_checkout(folder: Path, seconds: float) -> dict[str, float]:
-    """Measure the version in a folder, in a separate process."""
-    words = [sys.executable, __file__, "--here", "--seconds", str(seconds)]
-    env = os.environ | {"PYTHONPATH": str(folder)}
-    out = subprocess.run(words, env=env, cwd=folder, capture_output=True, text=True, check=True)
-    return json.loads(out.stdout)
+    return {
+        name: [1e6 * float(q) for q in np.quantile(t[STARTED:], SHARES)]
+        for name, t in found.items()
+    }
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--before", type=Path)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--experiment", default="zhang2023_table")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--here", action="store_true", help="measure the version of PYTHONPATH")
     options = parser.parse_args()
-    if options.here:
-        print(json.dumps(measure(options.seconds)))
-        return
-    best: dict[str, float] = {}
-    for _ in range(options.rounds):
-        for folder in (ROOT, options.before):
-            if folder is None:
-                continue
-            for name, took in in_checkout(folder.resolve(), options.seconds).items():
-                label = name if folder == ROOT else f"before: {name}"
-                best[label] = min(took, best.get(label, np.inf))
-    for label, took in best.items():
-        print(f"{label:<20} {took:6.1f} us")
-    if options.before is not None:
-        ratio = best["before: Agent.step"] / best["Agent.step"]
-        print(f"Agent.step is {ratio:.1f} times as fast")
+    experiment = load(find(options.experiment), [f"duration_s={options.seconds}"])
+    name = next(iter(experiment.vehicles))
+    ear = Ear(name)
+    make_twin(experiment).fly(ear)
+    rounds = [measure(experiment, name, ear.heard) for _ in range(options.rounds)]
+    print(f"{len(ear.heard)} ticks of {name}" + "".join(f"{f'p{1e2 * q:g}':>9}" for q in SHARES))
+    for what in rounds[0]:
+        best = min((one[what] for one in rounds), key=lambda row: row[0])
+        print(f"  {what:<20}" + "".join(f"{one:8.1f} " for one in best) + "us")
 
 
 if __name__ == "__main__":
