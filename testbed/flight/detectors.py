@@ -60,7 +60,8 @@ def compare(p, m, heard, always, window, row, duty, thrust_scale):
     ours = abs(row.told.clock_offset) < SAME_CLOCK
     if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
-        if nudged(p, m) > math.sqrt(2.0 * SURE):  # once, but it would stay in the sums of the whole flight
+        # once, but it would stay in the sums of the whole flight
+        if nudged(p, m) > math.sqrt(2.0 * SURE):
             permanent.restart(always, window)
         if m.look != before and m.summed == 0:
             permanent.refute(always, m.far)
