@@ -38,7 +38,7 @@ from testbed.flight.window import VERDICT, WHITE, Window, clear, decide, factor,
 KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
 NEVER_LATER = (THRUST, MASS, TURNED)  # causes that are tested since the start only
 TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
-SLOWLY = 10  # sums before a heading is believed to be off: unequal jets look like it for less
+LEAST_SUMS = 10  # before a heading is believed to be off: unequal jets look like it for a while
 BELIEVED = 9.0  # weight of the spread at the start [residuals]
 
 MEMORY = record(
@@ -125,7 +125,7 @@ def certain_always(far, m, least, kind):
     """
     other = beyond(far.gains, kind)
     since = m.later[kind] == 0.0 and (other < WORTH or far.gains[kind] >= other)
-    heard = kind != TURNED or m.sums >= SLOWLY
+    heard = kind != TURNED or m.sums >= LEAST_SUMS
     return certain(m.gains, m.sizes, least, kind) if since and heard else 0.0
 
 

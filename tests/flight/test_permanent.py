@@ -16,6 +16,7 @@ from testbed.flight.hypotheses import (
     ROTATED,
     THRUST,
     TURNED,
+    WORTH,
 )
 from testbed.flight.jet_faults import known_of
 from testbed.flight.memory import make_memory
@@ -92,6 +93,24 @@ def test_the_estimator_settles_in_the_first_second(flight):
     assert flight.m.sums == 30
     assert flight.m.gains.max() < 8.0  # 4 sigma
     assert np.sqrt(flight.m.noise) == pytest.approx(NOISE[0], rel=0.2)
+
+
+def test_a_heading_that_is_off_is_believed_after_ten_seconds(flight):
+    for _ in range(permanent.LEAST_SUMS):
+        flight.second(ROTATED, np.radians(30.0))
+    assert flight.m.gains[TURNED] > 18.0  # 6 sigma
+    assert flight.sigmas(TURNED) == 0.0
+    flight.second(ROTATED, np.radians(30.0))
+    assert flight.sigmas(TURNED) > 6.0
+
+
+def test_a_later_cause_that_is_not_worth_a_number_silences_nothing(flight):
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0))
+    flight.far.gains[PULL] = WORTH - 1.0
+    assert flight.sigmas(TURNED) > 6.0
+    flight.far.gains[PULL] = WORTH + 1.0
+    assert flight.sigmas(TURNED) == 0.0
 
 
 def test_what_began_later_is_left_to_the_long_window(flight):
