@@ -2,8 +2,8 @@
 
 Least squares over the same looks as `jet_faults`, with a memory of minutes: the residual momentum
 is explained by the thrust of every jet, the centre of mass and the slope together. The estimate is
-shown and flown by nothing: a vehicle with healthy jets flies as its file says. A pull that begins
-or ends in flight looks like weak jets, so then the estimate begins anew.
+shown; a vehicle flies by it only if `flight.online.jets` says so. A pull that begins or ends in
+flight looks like weak jets, so then the estimate begins anew.
 """
 
 import numpy as np

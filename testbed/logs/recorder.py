@@ -240,7 +240,7 @@ class Recorder:
         Raises:
             RecorderError: it cannot.
         """
-        self._open()
+        self._raise_if_ended()
         assert self._writer.stdin is not None
         assert self._writer.stderr is not None
         if not select.select([self._writer.stderr], [], [], 4.0 * PATIENCE_S)[0]:
@@ -305,7 +305,7 @@ class Recorder:
         Raises:
             RecorderError: the writer has ended or hangs.
         """
-        self._open()
+        self._raise_if_ended()
         try:
             self._push()
             while self._waits and len(self._pending) > self._lead:
@@ -316,8 +316,8 @@ class Recorder:
             self._pending.clear()
             raise RecorderError(self._last_words()) from None
 
-    def _open(self) -> None:
-        """Raise what ended the writer, if it has ended and was heard."""
+    def _raise_if_ended(self) -> None:
+        """Raise the reason again, if the writer has ended and its last words were read."""
         assert self._writer.stdin is not None
         if self._writer.stdin.closed:
             self._pending.clear()
