@@ -96,11 +96,10 @@ def scenario(number: int, seed: int) -> Experiment:
         apart = all(np.hypot(*(place - other)) > 2.0 * VEHICLE.radius + ROOM for other in places)
         if apart and all(clear(place, rock) for rock in obstacles.values()):
             places.append(place)
+    starts = [(*place.tolist(), float(rng.uniform(-np.pi, np.pi))) for place in places]
+    # these laws have no goal; a goal elsewhere could be refused when the run is replayed
     vehicles = {
-        f"sat{k + 1}": VehicleSetup(
-            VEHICLE, (*place.tolist(), float(rng.uniform(-np.pi, np.pi))), (0.0, 0.0, 0.0)
-        )
-        for k, place in enumerate(places)
+        f"sat{k + 1}": VehicleSetup(VEHICLE, start, start) for k, start in enumerate(starts)
     }
     law = {"kind": kind, "seed": int(rng.integers(2**31)), "half": (side / 2, side / 2)}
     return replace(

@@ -35,7 +35,9 @@ GOOD = 0.02  # clearance with which the search ends [m]
 HEARD = 1.0  # a neighbour keeps its velocity for this long [s]
 URGENT = 12.0  # a neighbour that is reached within this time may have the right of way [s]
 NARROW = 0.1  # a miss by less than this counts as reached [m]
-GIVE_WAY, WITHIN = 0.3, 5.0  # distance made for it [m], and the time to do so [s]
+GIVE_WAY = 0.3  # distance made for it [m]
+# time to do so [s]: until it is reached. A time that starts anew in each period is never over.
+WITHIN = (1.5, 5.0)
 
 
 @compiled
@@ -68,7 +70,7 @@ def clearance(px, py, vx, vy, gx, gy, discs, wide, limits, accel, least):
             rx, ry = px - discs[i, 0] - on * discs[i, 2], py - discs[i, 1] - on * discs[i, 3]
             room = np.sqrt(rx * rx + ry * ry) - discs[i, 4]
             if discs[i, 5] < 1.0:
-                room += YIELDED - wide[i] * min(1.0, t / WITHIN)
+                room += YIELDED - wide[i, 0] * min(1.0, t / wide[i, 1])
             elif discs[i, 2] != 0.0 or discs[i, 3] != 0.0:
                 room -= CLEAR
             else:
@@ -126,12 +128,19 @@ def reached_in(px, py, discs):
 
 @compiled
 def right_of_way(px, py, discs):
-    """Distance to make for each neighbour that is reached before the vehicle at (px, py) [m]."""
+    """For each neighbour that is reached before the vehicle at (px, py): room to make for it.
+
+    Rows of distance [m] and time to do so [s].
+    """
     own, _ = reached_in(px, py, discs)
-    wide = np.zeros(discs.shape[0])
+    wide = np.zeros((discs.shape[0], 2))
     for k in range(discs.shape[0]):
-        if discs[k, 5] < 1.0 and reached_in(discs[k, 0], discs[k, 1], discs)[0] < min(URGENT, own):
-            wide[k] = GIVE_WAY
+        wide[k, 1] = WITHIN[1]
+        if discs[k, 5] == 1.0:
+            continue
+        its, _ = reached_in(discs[k, 0], discs[k, 1], discs)
+        if its < min(URGENT, own):
+            wide[k, 0], wide[k, 1] = GIVE_WAY, min(max(its, WITHIN[0]), WITHIN[1])
     return wide
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from testbed.core.table import Obstacle
+from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight.barrier import Barrier, BarrierParams, discs_of, filtered
 from testbed.flight.escape import GIVE_WAY, reached_in, right_of_way
 
@@ -90,5 +91,43 @@ def test_the_vehicle_that_is_reached_first_has_the_right_of_way():
     near, far = (0.2, 0.0), (0.8, 0.0)
     seen_by_far = discs_of([rock, (*near, 0.0, 0.0, 0.46, 0.5)])
     seen_by_near = discs_of([rock, (*far, 0.0, 0.0, 0.46, 0.5)])
-    assert right_of_way(*far, seen_by_far).tolist() == [0.0, GIVE_WAY]
-    assert right_of_way(*near, seen_by_near).tolist() == [0.0, 0.0]
+    assert right_of_way(*far, seen_by_far)[:, 0].tolist() == [0.0, GIVE_WAY]
+    assert right_of_way(*near, seen_by_near)[:, 0].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(("far", "within"), [(1.2, 5.0), (0.95, 2.5), (0.6, 1.5)])
+def test_room_has_to_be_made_before_the_neighbour_is_reached(far, within):
+    rock = (-far, 0.0, 0.1, 0.0, RADIUS, 1.0)
+    seen = discs_of([rock, (0.0, 0.0, 0.0, 0.0, 0.46, 0.5)])
+    assert right_of_way(1.0, 0.0, seen)[1, 1] == pytest.approx(within, abs=0.1)
+
+
+@pytest.mark.parametrize("wish", [(0.7, 0.0), (0.7, 0.3), (0.0, 0.0)])
+def test_room_is_made_and_not_promised_again_and_again(wish):
+    """An obstacle carries a vehicle into a corner, and another one is in the only way out."""
+    rock = Obstacle((1.826, 1.088), 0.7214, 0.4714, (0.0403, 0.0697))
+    half, names = 2.405, ("carried", "other")
+    filters = {
+        name: Barrier(PARAMS, MASS, FORCE, PERIOD, (half, half), {"o1": rock}, {other: TOUCH})
+        for name, other in (names, names[::-1])
+    }
+    p = {"carried": np.array([2.354, 1.635]), "other": np.array([1.87, 1.87])}
+    v = {"carried": np.array([0.0, 0.04]), "other": np.array([0.04, 0.03])}
+    least = np.inf
+    for k in range(150):
+        t = k * PERIOD
+        states = {
+            name: State(t, Pose(*p[name], 0.0), Twist(*v[name], 0.0), Accel(0.0, 0.0, 0.0), 0.0, 0)
+            for name in names
+        }
+        for name, other in (names, names[::-1]):
+            motion, demand = (*p[name], *v[name], 0.0, 0.0), wish if name == "other" else (0.0, 0.0)
+            fx, fy, _ = filters[name].filter(t, demand, motion, {other: states[other]})
+            a = np.array((fx, fy)) / MASS
+            p[name] += PERIOD * (v[name] + 0.5 * PERIOD * a)
+            v[name] += PERIOD * a
+        place = np.array(rock.position) + (t + PERIOD) * np.array(rock.velocity)
+        for name in names:
+            far = np.hypot(*(p[name] - place)) - rock.radius
+            least = min(least, far, half - np.abs(p[name]).max())
+    assert least > -0.2 * BODY

@@ -1,11 +1,13 @@
 """A run's folder is never overwritten."""
 
 import re
+import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
+from controllers.law_file import digest
 from testbed.config import dump, find, load
 from testbed.run import folder
 from testbed.run.folder import FolderError, new_folder, write_config
@@ -89,3 +91,17 @@ def test_config_says_which_version_resolved_it_and_can_be_loaded(tmp_path):
     assert "airbearing-testbed 1.2.3" in (tmp_path / "config.toml").read_text().partition("\n")[0]
     assert load(tmp_path / "config.toml") == experiment
     assert [p.name for p in tmp_path.iterdir() if p.is_file()] == ["config.toml"]
+
+
+def test_a_law_named_in_python_gets_its_digest(tmp_path):
+    law = tmp_path / "law.py"
+    law.write_text("class Mine:\n    pass\n")
+    controller = {"type": "python", "law": f"{law}:Mine", "sha256": None}
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_config(folder, {"controller": controller}, "1.2.3")
+    written = tomllib.loads((folder / "config.toml").read_text())["controller"]
+    assert written["law"] == "law.py:Mine"
+    assert written["sha256"] == digest(law)
+    with pytest.raises(FolderError, match="found     an edited one"):
+        write_config(folder, {"controller": {**controller, "sha256": "0" * 64}}, "1.2.3")
