@@ -90,9 +90,14 @@ def weakness_is_clear(m):
 
 @compiled
 def leaks_or_is_weak(m):
-    """Whether one jet may leak; if it does not, the next best cause is the right one."""
+    """Whether one jet may leak; if it does not, the next best cause is the right one.
+
+    A pull that the long window is sure of looks like it once the short one has forgotten its start.
+    """
     other = beyond(m.gains, LEAK)
-    may = m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
+    may = (
+        m.pulled == 0.0 and m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
+    )
     return may and outlasts(m.gains, LEAK)
 
 

@@ -8,8 +8,9 @@ from stages import JetFaultDetector
 from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
+from testbed.flight import bad_jet, jet_faults
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import LEAK, NUDGE, WEAK
+from testbed.flight.hypotheses import LEAK, NUDGE, PULL, WEAK
 from testbed.flight.jet_faults import BUMPS, SLOPE, slopes
 from testbed.flight.response import response
 from testbed.flight.whitened import whiten
@@ -259,3 +260,12 @@ def test_the_slope_is_learned_from_looks_that_count(seed, vehicle, table):
     for _ in range(60):
         body.tick(some(rng, len(vehicle.jets)))
         assert body.evidence.either[0].sigmas < BOUND
+
+
+def test_a_jet_is_not_doubted_while_the_long_window_is_sure_of_a_pull():
+    """The short window forgets when a hose began, and then a leak explains it nearly as well."""
+    m = np.zeros(1, jet_faults.MEMORY).view(np.recarray)[0]
+    m.leak.gain, m.leak.share, m.gains[LEAK], m.gains[PULL] = 12.4, 0.1, 12.4, 15.8
+    assert bad_jet.leaks_or_is_weak(m)
+    m.pulled = 0.02
+    assert not bad_jet.leaks_or_is_weak(m)
