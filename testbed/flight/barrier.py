@@ -46,7 +46,7 @@ from testbed.core.rows import States
 from testbed.core.table import Obstacle
 from testbed.core.types import State
 from testbed.core.vehicle import NonNegative, Positive
-from testbed.flight.escape import CLEAR, escape
+from testbed.flight.escape import CLEAR, URGENT, escape, reached_in
 from testbed.flight.half_planes import TIGHT, yielding
 
 Array = NDArray[np.float64]
@@ -255,6 +255,9 @@ def guarded(t, fx, fy, px, py, vx, vy, bx, by, obstacles, others, limits, thrust
         kept = standing(discs) if room > -CLEAR else discs
         x, y, hazard, spare = filtered(ex, ey, px, py, vx, vy, bx, by, kept, limits, thrust_scale)
         hazard = runner if hazard < 0 else hazard
+        # no way out of its path: a stop is one of the flights tried, and not the best of them
+        if room < 0.0 and reached_in(px, py, discs)[0] < URGENT:
+            spare = np.inf
     if hazard >= discs.shape[0]:
         hazard += obstacles.shape[0] + others.shape[0] - discs.shape[0]
     elif hazard >= 0:

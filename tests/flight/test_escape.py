@@ -5,7 +5,7 @@ import pytest
 
 from testbed.core.table import Obstacle
 from testbed.core.types import Accel, Pose, State, Twist
-from testbed.flight.barrier import Barrier, BarrierParams, discs_of, filtered
+from testbed.flight.barrier import Barrier, BarrierParams, discs_of, filtered, guarded
 from testbed.flight.escape import GIVE_WAY, reached_in, right_of_way
 
 PARAMS = BarrierParams()
@@ -131,3 +131,17 @@ def test_room_is_made_and_not_promised_again_and_again(wish):
             far = np.hypot(*(p[name] - place)) - rock.radius
             least = min(least, far, half - np.abs(p[name]).max())
     assert least > -0.2 * BODY
+
+
+@pytest.mark.parametrize(("gap", "counts"), [(0.02, False), (1.5, True)])
+def test_a_vehicle_without_a_way_out_is_not_stopped_in_front_of_the_obstacle(gap, counts):
+    """It drifts into the margin of what stands; behind it, an obstacle comes out of the middle."""
+    kept, fence = RADIUS + PARAMS.obstacle_margin, 0.1
+    limits = Barrier(PARAMS, MASS, FORCE, PERIOD, (HALF, fence + PARAMS.edge_margin), {}, {}).limits
+    rocks = discs_of([
+        (-kept, 0.0, 0.0, 0.0, kept, 1.0), (kept + gap, 0.0, -0.1, 0.0, kept, 1.0),
+    ])  # fmt: skip
+    spare = guarded(
+        0.0, 0.0, 0.0, -0.015, 0.0, -0.03, 0.0, 0.0, 0.0, rocks, np.empty((0, 6)), limits, 1.0
+    )[3]
+    assert (spare < 0.0) == counts
