@@ -292,8 +292,11 @@ def weigh_long(known, m, heard):
     """
     far, remembers = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
     forget(m.far)
-    age(far, m.began)
     m.stretches += 1
+    if m.stretches == 1:  # the estimator finds its velocity in it, and that looks like a pull
+        m.summed, heard.sums[:] = 0, 0.0
+        return
+    age(far, m.began)
     trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
     rough = known.long * known.rough
     listen(far, heard.sums, trust, remembers, rough, WHITE)

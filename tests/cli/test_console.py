@@ -59,7 +59,8 @@ def test_the_page_of_a_run_is_served_where_it_was_asked_for(testbed, tmp_path, m
     assert opened == [(out, "0.0.0.0", 9000)]
 
 
-def test_a_wrong_port_is_refused_before_anything_is_written(testbed):
+def test_a_wrong_port_is_refused_before_anything_is_written(testbed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     result = testbed("run", "--console", "hold")
     assert result.exit_code == 2
     assert not Path("runs").exists()
