@@ -92,7 +92,8 @@ def weakness_is_clear(m):
 def leaks_or_is_weak(m):
     """Whether one jet may leak; if it does not, the next best cause is the right one.
 
-    A pull that the long window is sure of looks like it once the short one has forgotten its start.
+    No jet is in doubt while the long window is sure of a pull: once the short window has forgotten
+    when the pull began, a leak explains it nearly as well.
     """
     other = beyond(m.gains, LEAK)
     may = (

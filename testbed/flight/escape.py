@@ -33,10 +33,11 @@ ALLOWED = 0.01  # into the margins of what stands, where the half-planes hold a 
 YIELDED = 0.005  # the same for vehicles [m]
 GOOD = 0.02  # clearance with which the search ends [m]
 HEARD = 1.0  # a neighbour keeps its velocity for this long [s]
-URGENT = 12.0  # who is reached within this time may have the right of way, and must not stop [s]
+# A vehicle that is reached within this time may have the right of way; too_near does not stop it.
+URGENT = 12.0  # [s]
 NARROW = 0.1  # a miss by less than this counts as reached [m]
 GIVE_WAY = 0.3  # distance made for it [m]
-# time to do so [s]: until it is reached. A time that starts anew in each period is never over.
+# Time to make it [s]: until the neighbour is reached. A fixed time would begin anew each period.
 WITHIN = (1.5, 5.0)
 
 

@@ -288,12 +288,13 @@ def note_pull(known, m, heard):
 def weigh_long(known, m, heard):
     """Add the sum of the last looks to the long window, and keep what it says in `m.far`.
 
-    Pushes add up over a second, while the noise of its residual is that of a look.
+    Pushes add up over a second, while the noise of its residual is that of a look. The first sum
+    is left out: the estimator finds its velocity in it, and that looks like a pull.
     """
     far, remembers = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
     forget(m.far)
     m.stretches += 1
-    if m.stretches == 1:  # the estimator finds its velocity in it, and that looks like a pull
+    if m.stretches == 1:
         m.summed, heard.sums[:] = 0, 0.0
         return
     age(far, m.began)

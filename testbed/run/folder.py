@@ -128,16 +128,17 @@ def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
         path = Path(controller["file"])
     if path is None:
         return controller
-    copy, read = folder / path.name, controller.get("sha256")
-    if copy.exists() and digest(copy) != (read or digest(path)):  # of an earlier fork
-        copy = copy.with_stem(f"{path.stem}_{len(list(folder.glob(f'*{path.suffix}'))) + 1}")
+    copy = folder / path.name
     try:
+        # an experiment made in Python may name a law without its digest
+        expected = controller.get("sha256") or digest(path)
+        if copy.exists() and digest(copy) != expected:  # of an earlier fork
+            copy = copy.with_stem(f"{path.stem}_{len(list(folder.glob(f'*{path.suffix}'))) + 1}")
         shutil.copyfile(path, copy)
     except OSError as error:
         raise FolderError(f"{path}: {error.strerror}") from None
-    # an experiment made in Python may name a law without its digest
-    controller = {**controller, "sha256": read or digest(copy)}
-    if digest(copy) != controller["sha256"]:
+    controller = {**controller, "sha256": expected}
+    if digest(copy) != expected:
         raise FolderError(where=str(path), expected="the law as it was read", found="an edited one")
     if kind == "onnx":
         return {**controller, "file": copy.name}
