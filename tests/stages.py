@@ -91,6 +91,7 @@ class Estimator:
         self.delay = vehicle.command_delay_s
         everything, _ = make_memory(len(vehicle.jets), memory, 1, 1)
         self.m, self.fired = everything.fixed[0].estimator, everything.fired
+        self.flown = everything.flown
         self.out = np.zeros(1, STATE)[0]
 
     def remember(self, command):
@@ -99,9 +100,9 @@ class Estimator:
         estimator.note(self.fired, start, end, times)
 
     def update(self, samples, now):
-        estimator.update(
-            self.p, self.model, self.m, self.fired, PoseSamples.of(samples).rows, float(now)
-        )
+        estimator.begin_tick.py_func(self.m)
+        for sample in PoseSamples.of(samples).rows:
+            estimator.update(self.p, self.model, self.m, self.fired, self.flown, sample, float(now))
 
     def predict(self, t, now):
         estimator.predict(self.model, self.m, self.fired, float(t), float(now), self.out)

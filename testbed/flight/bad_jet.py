@@ -14,10 +14,11 @@ LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 UNLIKE = 0.6  # largest gain of a leak beside it, as a share
 PART = 0.15  # smallest missing share of thrust that is worth a warning
 DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
-# Least gain in the window of filtered looks: 4.3 sigma. A jet that was not used before its fault
-# and lacks 30 % is 6 sigma of the tolerance (THRUST) from its file, however long it fires.
-FINE_SURE = 9.2
-FINE_DOUBT = 0.1  # as DOUBT
+# A jet that was not used before its fault and lacks 30 % is 6 sigma of the tolerance (THRUST) from
+# its file, however long it fires, and often less. So 4.3 sigma of the innovations are enough, if
+# they last; a healthy jet seldom has them, and not for long.
+LASTS = 20  # looks
+FINE_CLEAR = 1.0  # as CLEAR
 
 
 @compiled
@@ -53,15 +54,11 @@ def missing(m):
 
 @compiled
 def is_finely_weak(m):
-    """Whether the window of filtered looks names a weak jet.
-
-    Small changes of slope or of a valve's leak show there, too, and look like a weak jet that holds
-    against them. The jet has to explain more than any of those, and more than any other jet.
-    """
+    """Whether the innovations name a weak jet: it explains more than any other cause or jet."""
     weak, nudge = m.fine.weak, max(m.gains[NUDGE], m.far.gains[NUDGE])
     other = max(beyond(m.fine.gains, WEAK), weak.next)
-    clear = weak.gain > other + CLEAR + FINE_DOUBT * min(weak.gain, other)
-    large = weak.share > ENOUGH and weak.gain > FINE_SURE
+    clear = weak.gain > other + FINE_CLEAR
+    large = weak.share > ENOUGH and (weak.gain > SURE or m.fine.held > LASTS)
     return large and clear and weak.gain > nudge + CLEAR
 
 

@@ -17,6 +17,7 @@ from testbed.flight import (
     estimator,
     fault_monitor,
     gate,
+    innovations,
     online,
     permanent,
     reconfiguration,
@@ -52,7 +53,15 @@ def see(vehicle, samples):
     m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
     fixed = memory.fixed[0]
     model = online.model_now(p.online, p.model, fixed.gas_used, fixed.thrust_scale)
-    estimator.update(p.filter, model, m, memory.fired, samples, told.t)
+    estimator.begin_tick(m)
+    for k in range(samples.shape[0]):
+        sample = samples[k]
+        taken = estimator.update(p.filter, model, m, memory.fired, memory.flown, sample, told.t)
+        if taken and told.armed == 1:
+            innovations.hear(
+                p.jets_known.fine, fixed.jet_faults.fine, memory.heard.fine, memory.flown, model,
+                fixed.thrust_scale, sample,
+            )  # fmt: skip
     estimator.predict(model, m, memory.fired, told.effect_at, told.t, row.state)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, keep
+from testbed.core.compiled import borrowed, compiled, keep, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.pulse import Timing, open_time, timing
 from testbed.core.se2 import wrap_compiled
@@ -48,6 +48,7 @@ SHOVE = 0.2  # velocity spread after a push [m/s]
 SHOVE_SPIN = 0.5  # [rad/s]
 SETTLED = 1.0  # from the first pose until the velocity is known [s]
 USUAL = 0.005  # share of the newest pose in the mean noise of these cameras
+HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
 SUB_STEP = 0.01  # [s] the wrench is averaged over this; at 0.1 m/s^2 that is 5 um
 
 
@@ -71,23 +72,33 @@ class Fired(NamedTuple):
     end: Array  # (m,) when it is replaced or over [s]
     on: Array  # (m, n) [s]
     offset: Array  # (m, n) [s]
+    held: Array  # (m, n) on-time of the same pulse in the plans before [s]
     gives: Array  # see reconfiguration.Able, (n,)
     leaks: Array  # (n,)
 
 
 @compiled
 def note(fired, start, end, times_us):
-    """Add a plan, in place; `times_us` are on, then offset in microseconds, shape (2 n,)."""
+    """Add a plan, in place; `times_us` are on, then offset in microseconds, shape (2 n,).
+
+    A pulse that lasts to the end of its plan may continue with the next one. Its valve stays open.
+    """
     last, jets = fired.start.shape[0] - 1, fired.on.shape[1]
     fired.end[last] = min(fired.end[last], start)
     for m in range(last):
         fired.start[m], fired.end[m] = fired.start[m + 1], fired.end[m + 1]
         fired.on[m] = fired.on[m + 1]
         fired.offset[m] = fired.offset[m + 1]
+        fired.held[m] = fired.held[m + 1]
     fired.start[last], fired.end[last] = start, end
     for j in range(jets):
         fired.on[last, j] = 1e-6 * times_us[j]
         fired.offset[last, j] = 1e-6 * times_us[jets + j]
+        before, fired.held[last, j] = last - 1, 0.0
+        if before >= 0 and fired.on[before, j] > 0.0 and fired.offset[last, j] < HAIR:
+            up = fired.start[before] + fired.offset[before, j]
+            if min(up + fired.on[before, j], fired.end[before]) > start - HAIR:
+                fired.held[last, j] = fired.held[before, j] + fired.on[before, j]
 
 
 class Model(NamedTuple):
@@ -119,7 +130,12 @@ def model_of(vehicle: Vehicle) -> Model:
 def mean_wrench(fired, model, flow, start, end):
     """Mean body wrench of the fired pulses over [start, end]: (fx, fy, tau).
 
-    `flow` is working memory of one number per jet: this is called ten times per tick.
+    Args:
+        fired: the last plans.
+        model: of the vehicle.
+        flow: written; for how long each jet flowed, in times of its whole thrust, (n,) [s].
+        start: [s].
+        end: [s].
     """
     jets = model.effect.shape[1]
     flow[:] = 0.0
@@ -132,7 +148,10 @@ def mean_wrench(fired, model, flow, start, end):
             if fired.on[m, j] > 0.0:
                 up = fired.start[m] + fired.offset[m, j]
                 down = min(up + fired.on[m, j], fired.end[m])
-                flow[j] += open_time(up, down, model.valve, start, end)
+                held = fired.held[m, j]
+                flow[j] += open_time(up - held, down, model.valve, start, end)
+                if held > 0.0:  # counted with the plans before
+                    flow[j] -= open_time(up - held, up, model.valve, start, end)
     span = end - start
     for j in range(jets):
         flow[j] = fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
@@ -140,7 +159,8 @@ def mean_wrench(fired, model, flow, start, end):
     share = 1.0 / (1.0 + model.droop * max(0.0, open_jets / span - 1.0))
     fx = fy = tau = 0.0
     for j in range(jets):
-        level = share * flow[j] / span
+        flow[j] *= share
+        level = flow[j] / span
         fx += model.effect[0, j] * level
         fy += model.effect[1, j] * level
         tau += model.effect[2, j] * level
@@ -175,8 +195,12 @@ def predict_covariance(cov, h, white, walk):
 
 
 @compiled
-def predict_mean(x, fired, model, start, end):
-    """Advance (x, y, theta, vx, vy, omega, bx, by, balpha) in place from `start` to `end`."""
+def predict_mean(x, fired, model, start, end, flown):
+    """Advance (x, y, theta, vx, vy, omega, bx, by, balpha) in place from `start` to `end`.
+
+    `flown` is advanced, too: the impulse of each jet, in times of its whole thrust [s], and its
+    integral [s^2], (2, n).
+    """
     steps = int(np.ceil((end - start) / SUB_STEP - 1e-9))
     memory = np.empty(model.effect.shape[1])
     flow = borrowed(memory)
@@ -195,6 +219,9 @@ def predict_mean(x, fired, model, start, end):
         for i in range(3):
             x[i] += h * (x[3 + i] + 0.5 * h * accel[i])
             x[3 + i] += h * accel[i]
+        for j in range(flow.shape[0]):
+            flown[1, j] += h * (flown[0, j] + 0.5 * flow[j])
+            flown[0, j] += flow[j]
     keep(memory)
 
 
@@ -270,9 +297,17 @@ def doubt(cov, error, shove):
     cov[2, 2] += (0.1 * shove) * (0.1 * shove)
 
 
+@pasted
+def begin_tick(m):
+    """Forget what the last tick's poses did; `m` is MEMORY."""
+    m.step[:] = m.bumped = 0.0
+
+
 @compiled
-def update(p, model, m, fired, samples, now):
-    """Absorb poses in order of arrival; the first pose starts the filter at rest.
+def update(p, model, m, fired, flown, sample, now):
+    """Absorb a pose; the first one starts the filter at rest. Returns whether it was accepted.
+
+    Poses come in order of arrival.
 
     A pose captured after `now` has a wrong clock. It is skipped, because accepting it would make
     every later one appear late. A sample captured before the filter's time is late and is skipped,
@@ -283,19 +318,17 @@ def update(p, model, m, fired, samples, now):
         model: of the vehicle.
         m: MEMORY, changed in place.
         fired: the last plans.
-        samples: rows (captured at [s], x [m], y [m], theta [rad]).
+        flown: advanced, see `predict_mean`.
+        sample: captured at [s], x [m], y [m], theta [rad].
         now: [s].
     """
-    m.step[:] = m.bumped = 0.0
-    for n in range(samples.shape[0]):
-        sample = samples[n]
-        whole = np.isfinite(sample[0] + sample[1] + sample[2] + sample[3])
-        if not (whole and sample[0] <= now):
-            continue
-        if m.started == 0:
-            start(p, m, sample)
-        elif m.t < sample[0]:
-            absorb(p, model, m, fired, sample)
+    whole = np.isfinite(sample[0] + sample[1] + sample[2] + sample[3])
+    if not (whole and sample[0] <= now):
+        return False
+    if m.started == 0:
+        start(p, m, sample)
+        return True
+    return m.t < sample[0] and absorb(p, model, m, fired, flown, sample)
 
 
 @compiled
@@ -315,10 +348,10 @@ def start(p, m, sample):
 
 
 @compiled
-def absorb(p, model, m, fired, sample):
-    """Predict to a pose's capture time, then correct by it, or refuse it."""
+def absorb(p, model, m, fired, flown, sample):
+    """Predict to a pose's capture time, then correct by it, or refuse it: return False."""
     x, cov, cov_spin, last, step = m.x, m.cov, m.cov_spin, m.last, sample[0] - m.t
-    predict_mean(x, fired, model, m.t, sample[0])
+    predict_mean(x, fired, model, m.t, sample[0], flown)
     predict_covariance(cov, step, p.walk[0], p.walk[1])
     predict_covariance(cov_spin, step, p.walk[2], p.walk[3])
     m.t = sample[0]
@@ -341,7 +374,7 @@ def absorb(p, model, m, fired, sample):
         near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
         m.agreed = m.agreed + 1.0 if near and off <= LINE * LINE and not same else 0.0
         if same or m.rough > ROUGH or m.refused < PATIENCE or m.agreed < ON_LINE:
-            return
+            return False
         m.refused = 0.0
         if note_step(m, dx, dy, turn, cov[0, 0] + p.noise[0], cov_spin[0, 0] + p.noise[1]):
             x[0], x[1], x[2] = sample[1], sample[2], sample[3]  # and its velocity is known
@@ -361,6 +394,7 @@ def absorb(p, model, m, fired, sample):
     m.prior[0], m.prior[1], m.prior[2] = dx, dy, turn
     m.newest, m.agreed = m.t, 0.0
     m.refused = max(0.0, m.refused - FORGIVEN)
+    return True
 
 
 @compiled
@@ -378,11 +412,13 @@ def predict(model, m, fired, t, now, state):
     state.known = m.started
     if m.started == 0:
         return
-    x = m.x.copy()
-    predict_mean(x, fired, model, m.t, t)
+    copies = m.x.copy(), np.zeros((2, fired.gives.shape[0]))
+    x, ahead = borrowed(copies)
+    predict_mean(x, fired, model, m.t, t, ahead)
     state.t = t
     state.x, state.y, state.theta = x[0], x[1], wrap_compiled(x[2])
     state.vx, state.vy, state.omega = x[3], x[4], x[5]
     state.ax, state.ay = x[6] - model.drag * x[3], x[7] - model.drag * x[4]
     state.alpha = x[8] - model.spin_drag * x[5]
     state.pose_age, state.rejected = now - m.newest, int(m.refused)
+    keep(copies)

@@ -32,13 +32,13 @@ from testbed.core.compiled import borrowed, compiled, keep, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
+from testbed.flight import innovations
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of
 from testbed.flight.nudges import Nudges, hear, hear_long, judge
 from testbed.flight.record import record
-from testbed.flight.response import quiet, response
-from testbed.flight.whitened import PASSES_S, hear_whitened, weigh_whitened, whiten
+from testbed.flight.response import response
 from testbed.flight.window import VERDICT, WHITE, Window, age, decide, factor, forget, listen
 
 Array = NDArray[np.float64]
@@ -54,6 +54,8 @@ SHOWN = 10  # looks from one effectiveness to the next
 CALM = 30  # looks; a fault is named within them
 AGAIN = 200  # looks that the mean of unexplained acceleration has had before a restart
 THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
+BENT = math.radians(1.0)  # of its direction
+INERTIA = 0.05  # of the moment of inertia, relative
 BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
 SLOPE = 2e-3  # assumed slope of an unknown table [m/s^2]
 BUMPS = 5e-4  # assumed variation of the slope over the table [m/s^2]
@@ -85,8 +87,7 @@ class Known(NamedTuple):
     long: int  # looks that are summed for the long window
     least: Array  # smallest size of each kind of cause that is a fault, see hypotheses.py
     pads: Array  # see hypotheses.pads_of, (2,)
-    quiet: Array  # variance of the estimate, push and turn, (2,)
-    passes: float  # see whitened.py, per look
+    fine: innovations.Known
 
 
 MEMORY = record(
@@ -102,7 +103,7 @@ MEMORY = record(
     began=int,  # block of the long window in which its best cause began
     pulled=float,  # size of the pull of which the long window is sure [m/s^2]; 0: none
     far=record(**VERDICT),  # of the long window
-    fine=record(**VERDICT),  # see whitened.py
+    fine=innovations.MEMORY,
     **VERDICT,  # of the short one
 )
 
@@ -120,8 +121,7 @@ class Heard(NamedTuple):
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
-    white: Array  # the same, filtered, (3, m + n + COLUMNS + 1)
-    fine: Window  # of these
+    fine: innovations.Sums
     nudges: Nudges
 
 
@@ -159,9 +159,9 @@ def pause(p, m, heard):
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
     forget(m.far)
-    forget(m.fine)
+    innovations.pause(m.fine)
     m.summed = 0
-    heard.recent[:] = heard.sums[:] = heard.white[:] = 0.0
+    heard.recent[:] = heard.sums[:] = 0.0
 
 
 @compiled
@@ -237,8 +237,6 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     for axis in range(3):
         for i in range(x.shape[1]):
             sums[axis, i] += x[axis, i]
-    if m.counted > known.long:  # before, the estimator settles; that looks like a push
-        whiten(heard.white, known.passes, x, bias, known.period)
     settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
     if m.look % CALM == 0:
         heard.calm[0] = heard.calm[1]
@@ -263,13 +261,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     decide(near, least, y, known.period, False, m)
     judge(heard.nudges.near, least, y, m)
     m.summed += 1
-    if m.counted > known.long:
-        hear_whitened(
-            heard.fine, heard.white, known.quiet, known.passes, known.rough, m.counted, known.period
-        )
     if m.summed == known.long:
-        slope = known.bumps * known.bumps + known.slope * known.slope
-        weigh_whitened(heard.fine, known.sure, 1.0 / slope, known.period, m.fine)
         weigh_long(known, m, heard)
     keep((own, root))
 
@@ -332,14 +324,17 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     push = float(np.hypot(effect[0], effect[1]).max())
     turn = float(np.abs(effect[2]).max())
     slope, bumps = slopes(table.tilt)
+    hardest = HARDEST * np.array([push, turn])
+    bent = max(BENT, math.radians(vehicle.tolerance.direction_deg))
+    tolerances = tolerance[0], bent, max(INERTIA, vehicle.tolerance.inertia), tolerance[n]
+    fine = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
     return Known(
         effect, vehicle.mass / vehicle.inertia, vehicle.air.droop,
         vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia, tolerance**-2.0,
         slope, bumps, ALIKE * (period * (bumps - BUMPS)) ** 2,
         np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
-        HARDEST * period * np.array([push, turn]), period,
+        period * hardest, period,
         ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
         max(1, round(STRETCH / period)),
-        least_of(vehicle, table, bumps), pads_of(vehicle),
-        quiet(estimator, table.mocap), math.exp(-period / PASSES_S),
+        least_of(vehicle, table, bumps), pads_of(vehicle), fine,
     )  # fmt: skip

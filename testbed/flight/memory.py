@@ -14,6 +14,7 @@ from testbed.flight import (
     effectiveness,
     estimator,
     gate,
+    innovations,
     jet_faults,
     permanent,
     safety,
@@ -55,6 +56,7 @@ class Memory(NamedTuple):
     counters: Counters  # of the fault table
     carried: Carried  # by the modulator
     begun: Array  # on-time so far of a pulse that may continue, (jets,) [s]
+    flown: Array  # see estimator.predict_mean, (2, jets)
     flowed: Array  # share of the last period for which each jet flowed, (jets,)
     times: Array  # of the last plan: on, then offset, (2 jets,), whole [us]
     permanent: Window  # see permanent.py
@@ -78,16 +80,16 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         (m, m + 1), (BLOCKS, m + 2, width_of(jets)), (BLOCKS,), (1,), (2,), (3,),
     ]  # fmt: skip
     shapes: dict[type, list[tuple[int, ...]]] = {
-        Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
+        Fired: [(plans,), (plans,), *3 * [(plans, jets)], one_a_jet, one_a_jet],
         Heard: [
             one_a_jet, (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
-            (m, m + 1), one_a_jet, one_a_jet, *window, *window, (3, causes + 1), *window,
+            (m, m + 1), one_a_jet, one_a_jet, *window, *window, *innovations.shapes_of(jets),
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
         Memory: [
-            one_a_jet, one_a_jet, (2 * jets,),
+            one_a_jet, (2, jets), one_a_jet, (2 * jets,),
             (m, m + 1), (1, m + 2, width_of(jets)), (1,), (1,), (2,), (3,), one_a_jet,
         ],
     }  # fmt: skip
@@ -100,19 +102,17 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
     duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
-    near, far, fine = Window(*parts[:6]), Window(*parts[6:12]), Window(*parts[13:19])
-    white, nudges = parts[12], Nudges(*parts[19:])
+    near, far = Window(*parts[:6]), Window(*parts[6:12])
+    fine, nudges = innovations.Sums(*parts[12:17]), Nudges(*parts[17:])
     fired = Fired(*views[Fired])
-    heard = Heard(
-        duty, recent, bias, total, calm, slow, off, sigma, near, far, white, fine, nudges
-    )  # fmt: skip
+    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, fine, nudges)
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
-    begun, flowed, times, *always, named = views[Memory]
+    begun, flown, flowed, times, *always, named = views[Memory]
     memory = Memory(
-        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, flowed,
-        times, Window(*always), named,
+        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, flown,
+        flowed, times, Window(*always), named,
     )  # fmt: skip
     return memory, everything

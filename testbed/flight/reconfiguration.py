@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
+from testbed.flight import innovations
 from testbed.flight.bad_jet import is_finely_weak, is_weak
 from testbed.flight.effectiveness import SPREAD
 from testbed.flight.jet_faults import AGAIN, CALM, pause
@@ -151,7 +152,7 @@ def restart(p, m, heard):
     m.noted, m.stretches = 0, 0
     clear(heard.near)
     clear(heard.far)
-    clear(heard.fine)
+    innovations.restart(m.fine, heard.fine)
     heard.nudges.near[:] = heard.nudges.far[:] = 0.0
     heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
     heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD

@@ -22,13 +22,13 @@ OUT_OF_STEP = 0.3  # time from the push to the first frame, in frames: any value
 
 @compiled
 def settled(noise, white, walk, frame):
-    """Variance of the velocity and gains, once they have settled; arguments as of `shown`."""
+    """The gains, once they have settled; arguments as of `shown`."""
     cov = np.diag(np.array([noise, 1e-4, 1e-5]))
     gain = (0.0, 0.0, 0.0)
     for _ in range(FRAMES):
         predict_covariance(cov, frame, white, walk)
         gain = correct(cov, noise)
-    return cov[1, 1], gain
+    return gain
 
 
 @compiled
@@ -43,7 +43,7 @@ def shown(noise, white, walk, frame, latency, period):
         latency: from a pose to the instant that the estimate is for [s].
         period: of the looks [s].
     """
-    _, gain = settled(noise, white, walk, frame)
+    gain = settled(noise, white, walk, frame)
     gained = np.zeros(LOOKS)
     x = v = bias = before = 0.0
     seen_at, due = 0.0, OUT_OF_STEP * frame
@@ -71,12 +71,6 @@ def variances(params: EstimatorParams, mocap: Mocap) -> tuple[tuple[float, float
         (mocap.noise**2 + 1e-16, params.force_noise**2, params.bias_walk**2),
         (turn**2 + 1e-16, params.torque_noise**2, params.spin_bias_walk**2),
     )
-
-
-def quiet(params: EstimatorParams, mocap: Mocap) -> Array:
-    """Variance of the estimated velocity and spin by these cameras, (2,) [m^2/s^2, rad^2/s^2]."""
-    both = variances(params, mocap)
-    return np.array([settled(*one, 1.0 / mocap.rate_hz)[0] for one in both])
 
 
 def response(params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, period: float) -> Array:

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 from stages import Estimator
 from testbed.core.jets import effect_matrix
+from testbed.core.pulse import open_time, timing
 from testbed.core.types import PoseSample, ValveCommand
 from testbed.flight.estimator import (
     EstimatorParams,
@@ -346,6 +347,28 @@ def test_a_plan_ends_where_the_next_begins(fair, knowing):
     knowing.remember(plan(0.0, {4: (0.0, 0.1), 5: (0.0, 0.1)}))
     knowing.remember(plan(0.05, {}))
     assert knowing.predict(0.2, now=0.2).twist.vx == pytest.approx(1.2 * 0.05 / fair.mass, rel=1e-9)
+
+
+@pytest.mark.parametrize(("opens", "closes"), [(0.03, 0.005), (0.005, 0.03), (0.02, 0.02)])
+def test_a_pulse_that_continues_with_the_next_plan_is_one_pulse(opens, closes, fair, table):
+    valve = replace(
+        fair.valve, open_delay_s=opens, close_delay_s=closes, open_ramp_s=0.004, close_ramp_s=0.002
+    )
+    slow = replace(fair, valve=valve)
+    stubborn = EstimatorParams(speed_spread=0.0, bias_spread=0.0, spin_bias_spread=0.0)
+    estimator = Estimator(stubborn, slow, table.mocap)
+    hear(estimator, [PoseSample(0.0, 0.0, 0.0, 0.0)])
+    estimator.remember(plan(0.0, {4: (0.04, 0.06), 5: (0.04, 0.06)}))
+    estimator.remember(plan(0.1, {4: (0.0, 0.1), 5: (0.0, 0.1)}))
+    estimator.remember(plan(0.2, {4: (0.0, 0.03), 5: (0.0, 0.03)}))
+    estimator.remember(plan(0.3, {4: (0.001, 0.03), 5: (0.001, 0.03)}))  # another one
+    for t in (0.05, 0.11, 0.13, 0.21, 0.22, 0.28, 0.3):
+        seconds = open_time(0.04, 0.23, timing(valve), 0.0, t - slow.command_delay_s)
+        found = estimator.predict(t, now=t).twist.vx
+        assert found == pytest.approx(1.2 * seconds / slow.mass, rel=1e-9), t
+    both = sum(open_time(*one, timing(valve), 0.0, 1.0) for one in ((0.04, 0.23), (0.301, 0.331)))
+    found = estimator.predict(0.5, now=0.5).twist.vx
+    assert found == pytest.approx(1.2 * both / slow.mass, rel=1e-9)
 
 
 def test_oracle_filter_with_known_pulses(fair, table, kalman):

@@ -1,0 +1,470 @@
+"""A Kalman filter that believes the files, and the causes that its innovations speak for.
+
+The estimator has to follow every disturbance, so its velocity is noisy, and what is left of a jet's
+push in it is small. This filter has only the noise that the files state: of the cameras, of pulses,
+of the slope from place to place. As long as the files are right, its velocity is known many times
+better, and every push that is missing shows. Nothing flies by it.
+
+For each cause of `hypotheses` it is known how the innovation would change with its size (A. S.
+Willsky and H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of
+jumps in linear systems", 1976): the same filter, without poses, driven by the push of the cause. So
+the innovations are a regression on sizes, with white noise. The rest is as in `jet_faults`.
+
+A cause may begin at any time. The last RECENT of such times are tested, older ones at distances
+that double into the past, and the start.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.compiled import borrowed, compiled, keep
+from testbed.core.se2 import wrap_compiled
+from testbed.core.table import Mocap
+from testbed.core.vehicle import Vehicle
+from testbed.flight.hypotheses import (
+    ALL,
+    DELAYED,
+    DELAYS,
+    LEAK,
+    PUSHED,
+    ROTATED,
+    SLOWED,
+    WEAK,
+    X,
+    Y,
+    pads_of,
+    score,
+)
+from testbed.flight.record import record
+from testbed.flight.window import MOST, VERDICT, factor, forget, suspect, width_of
+
+Array = NDArray[np.float64]
+
+LOOK = 0.1  # innovations are of the mean pose of so long [s]
+RECENT = 5  # beginnings that are tested one after the other
+BEGINNINGS = RECENT + 9
+NEXT_S = 0.3  # from one beginning to the next [s]
+MEMORY_S = 60.0  # time constant of forgetting [s]
+GAP = 1.0  # after this time without poses the filter begins anew [s]
+SLOPE = 0.02  # at the start, one sigma [m/s^2]
+SPIN = 5e-3  # unknown torque at the start, one sigma [rad/s^2]
+UNKNOWN = 0.2  # speed at the start, one sigma [m/s, rad/s]
+WANDER = 1e-4  # unexplained acceleration, random walk [m/s^2 / sqrt(s)]
+SPIN_WANDER = 1e-4  # [rad/s^2 / sqrt(s)]
+CELL = 1.0  # the slope changes by the table's variation over this way [m, assumed]
+BELIEVED = 30.0  # weight of the files' noise at the start [looks]
+FAR = 6.0  # sigmas: an innovation so much larger than the jets' push does not count
+LIKELY = 9.2  # gain that counts if it lasts: 4.3 sigma
+WEIGHED = 2  # looks from one verdict to the next
+
+
+class Known(NamedTuple):
+    """Constants of the vehicle for compiled code."""
+
+    noise: Array  # variance of a pose, of position and heading, (2,)
+    pulse: float  # error of a pulse, relative, one sigma
+    rolls: float  # variance of the slope's change over a way [m^2/s^4 / m]
+    sure: Array  # 1 / tolerance^2 of z: thrust and direction of jets, inertia, mass centre, (m,)
+    turned: Array  # torque of a jet's whole thrust that points 1 rad further, (n,) [N m]
+    pads: Array  # see hypotheses.pads_of
+    hardest: Array  # largest acceleration that is the jets' [m/s^2, rad/s^2]
+    period: float  # of a look [s]
+    next: int  # looks from one beginning to the next
+    keep: float  # factor of forgetting, per look
+
+
+MEMORY = record(
+    begun=int,  # 1: a pose has started the filter
+    t=float,  # capture time of the newest pose [s]
+    since=float,  # beginning of the look [s]
+    heading=float,  # then [rad]
+    poses=int,  # in this look
+    at=(2,),  # sums over these poses: time since the beginning, and its square
+    seen=(3,),  # sums of x and y, and of heading since the beginning
+    looks=int,
+    x=(3, 3),  # x, y, heading: position, velocity, unexplained acceleration
+    cov=(3, 3, 3),  # of these
+    heard=float,  # innovations, as far as they are not forgotten
+    squares=float,  # of them, in variances by the files
+    began=int,  # beginning of the cause that explains most
+    held=int,  # looks for which the same weak jet has been likelier than LIKELY
+    noise=float,  # what the best cause leaves of these, each
+    **VERDICT,
+)
+
+
+class Sums(NamedTuple):
+    """Sums over time, changed in place."""
+
+    ways: Array  # of each jet, over the poses of this look: integral of its impulse, (n,) [s^2]
+    sure: Array  # what an uncertain parameter changes in x of each axis, (3, 3, m)
+    moved: Array  # the same of causes, by beginning, (BEGINNINGS, 3, 3, count)
+    told: Array  # z'z, and z'e as the last column, (m, m + 1)
+    blocks: Array  # x'z, x'x, x'e of causes, by beginning, (BEGINNINGS, m + 2, count)
+
+
+def shapes_of(jets: int) -> list[tuple[int, ...]]:
+    """Shapes of `Sums`."""
+    m, count = 2 * jets + 3, width_of(jets)
+    return [
+        (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m, m + 1), (BEGINNINGS, m + 2, count),
+    ]  # fmt: skip
+
+
+@compiled
+def hear(p, m, sums, flown, model, thrust_scale, sample):
+    """Follow a pose that the estimator has accepted; every WEIGHED looks, weigh the causes.
+
+    Args:
+        p: Known.
+        m: MEMORY, changed in place.
+        sums: Sums, changed in place.
+        flown: see estimator.predict_mean; since the look began, set to 0 at its end.
+        model: estimator.Model.
+        thrust_scale: of the thrust at the supply pressure.
+        sample: captured at [s], x [m], y [m], theta [rad].
+    """
+    if m.begun == 0 or sample[0] - m.t > GAP:
+        begin(p, m, sums, flown, sample)
+        return
+    m.t = sample[0]
+    since = m.t - m.since
+    m.poses += 1
+    m.at[0], m.at[1] = m.at[0] + since, m.at[1] + since * since
+    m.seen[0], m.seen[1] = m.seen[0] + sample[1], m.seen[1] + sample[2]
+    m.seen[2] += wrap_compiled(sample[3] - m.heading)
+    sums.ways[:] += flown[1]
+    if since > p.period - 1e-6:
+        look(p, m, sums, flown, model, thrust_scale)
+        if m.looks % WEIGHED == 0:
+            weigh(p, m, sums)
+
+
+@compiled
+def begin(p, m, sums, flown, sample):
+    """Start the filter at a pose; what was heard stays, and the slope, if it is known."""
+    m.begun, m.t = 1, sample[0]
+    m.x[:, 0:2] = 0.0
+    for axis in range(3):
+        m.x[axis, 0], slope = sample[axis + 1], m.cov[axis, 2, 2]
+        if slope == 0.0:
+            slope = SPIN * SPIN if axis == 2 else SLOPE * SLOPE
+        m.cov[axis] = 0.0
+        m.cov[axis, 0, 0], m.cov[axis, 1, 1] = p.noise[axis // 2], UNKNOWN * UNKNOWN
+        m.cov[axis, 2, 2] = slope
+        sums.sure[axis, 0:2] = 0.0
+        sums.moved[:, axis, 0:2] = 0.0
+    begin_look(m, sums, flown)
+
+
+@compiled
+def begin_look(m, sums, flown):
+    """Begin a look at the newest pose."""
+    m.since, m.heading, m.poses = m.t, m.x[2, 0], 0
+    m.at[:] = m.seen[:] = 0.0
+    sums.ways[:], flown[:] = 0.0, 0.0
+
+
+@compiled
+def pause(m):
+    """Begin anew at the next pose: the last ones were not trusted."""
+    m.begun = m.held = 0
+    forget(m)
+
+
+@compiled
+def restart(m, sums):
+    """Forget what was heard."""
+    pause(m)
+    m.x[:], m.cov[:], m.heard, m.squares, m.noise = 0.0, 0.0, 0.0, 0.0, 0.0
+    sums.sure[:], sums.moved[:], sums.told[:], sums.blocks[:] = 0.0, 0.0, 0.0, 0.0
+
+
+@compiled
+def look(p, m, sums, flown, model, thrust_scale):
+    """Hear the mean pose of a look, then go to its end."""
+    n, span = flown.shape[1], m.t - m.since
+    one, two = m.at[0] / m.poses, 0.5 * m.at[1] / m.poses  # mean time, half its mean square
+    columns = sums.told.shape[0] + sums.moved.shape[3]
+    memory = np.zeros((3, 3, columns)), np.empty((3, n)), np.empty((2, columns))
+    acts, gone, x = borrowed(memory)
+    gone[0], gone[1], gone[2] = flown[0], flown[1], sums.ways / m.poses
+    push = effects(p, m, model, thrust_scale, gone, (span, 0.5 * span * span, two), acts)
+    m.looks += 1
+    age(p, m, sums)
+    sums.told[:] *= p.keep
+    sums.blocks[:] *= p.keep
+    m.heard, m.squares = p.keep * m.heard, p.keep * m.squares
+    speed = np.hypot(m.x[0, 1], m.x[1, 1])
+    for axis in range(3):
+        state, cov, both = m.x[axis], m.cov[axis], acts[:, axis]
+        shaken = np.zeros(2)  # variance by pulses, of velocity and of the mean pose
+        for j in range(n):
+            shaken[0] += (p.pulse * both[0, j]) ** 2
+            shaken[1] += (p.pulse * both[2, j]) ** 2
+        drag = model.spin_drag if axis == 2 else model.drag
+        sees, steps = (one - drag * two, two), coasts(drag, span)
+        both[0] -= drag * both[1]  # what drag takes of a push before the look is over
+        push[0, axis] -= drag * push[1, axis]
+        gain, variance = gain_of(cov, sees, p.noise[axis // 2] / m.poses + shaken[1])
+        mean = m.seen[axis] / m.poses + (m.heading if axis == 2 else 0.0)
+        error = mean - (state[0] + sees[0] * state[1] + sees[1] * state[2] + push[2, axis])
+        outside = abs(error) > p.hardest[axis // 2] * span * span + FAR * np.sqrt(variance)
+        weight = 1.0 / variance
+        if outside:
+            weight, gain = 0.0, (0.0, 0.0, 0.0)
+        m.heard += 0.0 if outside else 1.0
+        m.squares += weight * error * error
+        add(sums, axis, both, sees, steps, gain, error, weight, x)
+        for i in range(3):
+            state[i] += gain[i] * error
+            for k in range(3):
+                cov[i, k] -= variance * gain[i] * gain[k]
+        stays, moves, drifts = steps
+        state[0] += moves * state[1] + drifts * state[2] + push[1, axis]
+        state[1] = stays * state[1] + moves * state[2] + push[0, axis]
+        advance(cov, steps)
+        walk = SPIN_WANDER * SPIN_WANDER if axis == 2 else WANDER * WANDER + p.rolls * speed
+        cov[1, 1] += shaken[0]
+        if outside:
+            cov[0, 0] += error * error
+            cov[1, 1] += UNKNOWN * UNKNOWN
+        cov[2, 2] += span * walk
+    begin_look(m, sums, flown)
+    keep(memory)
+
+
+@compiled
+def effects(p, m, model, thrust_scale, gone, whole, acts):
+    """Write what a unit of each parameter and cause gives in a look.
+
+    Returns what the jets give, (3, 3): velocity, way and mean pose of each axis.
+
+    Args:
+        p: Known.
+        m: MEMORY.
+        model: estimator.Model.
+        thrust_scale: of the thrust at the supply pressure.
+        gone: of each jet: impulse, its integral to the end of the look, and to its poses, (3, n).
+        whole: the same of a constant unit push.
+        acts: zeros; written, (3, 3, m + columns): velocity, way and mean pose of each axis.
+    """
+    n, push = gone.shape[1], np.zeros((3, 3))
+    z = p.sure.shape[0]
+    other = z + 2 * n  # place of the first cause that is not a jet
+    theta = m.x[2, 0] + 0.5 * whole[0] * m.x[2, 1]
+    c, s = np.cos(theta), np.sin(theta)
+    for kind in range(3):
+        act, fx, fy = acts[kind], 0.0, 0.0
+        for j in range(n):
+            ax, ay = model.effect[0, j] / model.mass, model.effect[1, j] / model.mass
+            flow = thrust_scale * gone[kind, j]
+            rest = thrust_scale * whole[kind] - flow
+            fx, fy = fx + flow * ax, fy + flow * ay
+            turn = model.effect[2, j] / model.inertia
+            along, across = c * ax - s * ay, s * ax + c * ay
+            act[0, n + j], act[1, n + j] = -flow * across, flow * along
+            act[2, n + j] = flow * p.turned[j] / model.inertia
+            for axis, a in enumerate((along, across, turn)):
+                act[axis, j] = act[axis, z + j] = flow * a
+                act[axis, z + n + j] = rest * a  # its leak
+                push[kind, axis] += flow * a
+        act[2, 2 * n] = push[kind, 2] - whole[kind] * model.spin_drag * m.x[2, 1]
+        act[2, 2 * n + 1] = -fy * model.mass / model.inertia  # its centre is further along x, y
+        act[2, 2 * n + 2] = fx * model.mass / model.inertia
+        act[0, other + X] = act[1, other + Y] = whole[kind]
+        act[0, other + PUSHED], act[1, other + PUSHED] = push[kind, 0], push[kind, 1]
+        act[0, other + ROTATED], act[1, other + ROTATED] = -push[kind, 1], push[kind, 0]
+        for axis in range(3):
+            speed = m.x[axis, 1]
+            act[axis, other + ALL] = push[kind, axis]
+            act[axis, other + SLOWED] = -whole[kind] * p.pads[axis // 2] * speed
+            for d in range(DELAYS if kind == 2 else 0):  # the poses show where it was
+                act[axis, other + DELAYED + d] = -(d + 1) * p.period * speed
+    return push
+
+
+@compiled
+def coasts(drag, h):
+    """Share of a velocity that drag leaves after `h`, the way of a unit of it, and of a push."""
+    if drag * h < 1e-6:
+        return 1.0, h, 0.5 * h * h
+    stays = np.exp(-drag * h)
+    moves = (1.0 - stays) / drag
+    return stays, moves, (h - moves) / drag
+
+
+@compiled
+def advance(cov, steps):
+    """Covariance of position, velocity and acceleration a step later, in place; see `coasts`."""
+    stays, moves, drifts = steps
+    for _ in range(2):  # F cov F': rows, then, transposed, columns
+        for k in range(3):
+            cov[0, k] += moves * cov[1, k] + drifts * cov[2, k]
+            cov[1, k] = stays * cov[1, k] + moves * cov[2, k]
+        for i in range(3):
+            for k in range(i):
+                cov[i, k], cov[k, i] = cov[k, i], cov[i, k]
+
+
+@compiled
+def gain_of(cov, sees, noise):
+    """Gain of position, velocity and acceleration for a mean pose, and its variance."""
+    one, two = sees
+    position = cov[0, 0] + one * cov[0, 1] + two * cov[0, 2]
+    velocity = cov[0, 1] + one * cov[1, 1] + two * cov[1, 2]
+    slope = cov[0, 2] + one * cov[1, 2] + two * cov[2, 2]
+    variance = position + one * velocity + two * slope + noise
+    return (position / variance, velocity / variance, slope / variance), variance
+
+
+@compiled
+def add(sums, axis, acts, sees, steps, gain, error, weight, x):
+    """Add an innovation to the sums, and let each cause change the filter as it would.
+
+    Args:
+        sums: Sums, changed in place.
+        axis: of the innovation.
+        acts: what each parameter and cause gives in velocity, way and mean pose, (3, columns).
+        sees: how velocity and acceleration at the beginning show in the mean pose.
+        steps: see `coasts`.
+        gain: of the filter.
+        error: the innovation.
+        weight: 1 / its variance; 0: it does not count.
+        x: working memory, (2, columns).
+    """
+    z = sums.told.shape[0]
+    g, x = x[0, :z], x[1, z:]
+    respond(sums.sure[axis], acts[:, :z], sees, steps, gain, g)
+    for i in range(z):
+        a = weight * g[i]
+        for k in range(z):
+            sums.told[i, k] += a * g[k]
+        sums.told[i, z] += a * error
+    for b in range(BEGINNINGS):
+        block = sums.blocks[b]
+        respond(sums.moved[b, axis], acts[:, z:], sees, steps, gain, x)
+        for k in range(z):
+            a = weight * g[k]
+            for i in range(x.shape[0]):
+                block[k, i] += a * x[i]
+        for i in range(x.shape[0]):
+            a = weight * x[i]
+            block[z, i] += a * x[i]
+            block[z + 1, i] += a * error
+
+
+@compiled
+def respond(moved, acts, sees, steps, gain, x):
+    """Write to `x` what each column changes in the innovation, and advance what it changes.
+
+    Args:
+        moved: position, velocity and acceleration of the filter without poses, (3, count).
+        acts: see `add`.
+        sees: the same.
+        steps: the same.
+        gain: the same.
+        x: (count,).
+    """
+    (one, two), (stays, moves, drifts) = sees, steps
+    position, velocity, slope = moved[0], moved[1], moved[2]
+    for i in range(x.shape[0]):
+        x[i] = position[i] + one * velocity[i] + two * slope[i] + acts[2, i]
+        a, b, c = (
+            position[i] - gain[0] * x[i],
+            velocity[i] - gain[1] * x[i],
+            slope[i] - gain[2] * x[i],
+        )
+        position[i] = a + moves * b + drifts * c + acts[1, i]
+        velocity[i] = stays * b + moves * c + acts[0, i]
+        slope[i] = c
+
+
+@compiled
+def age(p, m, sums):
+    """Let a beginning begin here; the ruler sequence decides which older one it takes the place of.
+
+    The beginning of the best cause stays.
+    """
+    if m.looks % p.next != 0:
+        return
+    count, old = m.looks // p.next, RECENT
+    fresh = count % RECENT
+    while count % 2 == 0 and old < BEGINNINGS - 2:
+        count, old = count // 2, old + 1
+    if old != m.began:
+        sums.moved[old], sums.blocks[old] = sums.moved[fresh], sums.blocks[fresh]
+        if m.began == fresh:
+            m.began = old
+    sums.moved[fresh], sums.blocks[fresh] = 0.0, 0.0
+
+
+@compiled
+def weigh(p, m, sums):
+    """Write what the innovations say to `m`, a record of VERDICT."""
+    z, columns = sums.told.shape[0], sums.blocks.shape[2]
+    n, before = (z - 3) // 2, m.weak.jet
+    forget(m)
+    sure = 1.0 / max(1.0, m.noise)
+    root = factor(sure * sums.told, p.sure, p.sure[z - 1])
+    least, y = borrowed(root)
+    memory = np.empty((6 + z + 2, columns))
+    parts, fits, own, block = borrowed((memory[:4], memory[4], memory[5], memory[6:]))
+    most, m.began = 0.0, BEGINNINGS - 1
+    for b in range(BEGINNINGS):
+        block[:] = sure * sums.blocks[b]
+        suspect(block, least, y, parts, fits, own)
+        for h in range(2 * n):
+            if own[h] <= 1e-6 * block[z, h] or own[h] < 1e-9:
+                continue
+            one, low, high = (m.weak, -1.0, 0.0) if h < n else (m.leak, 0.0, MOST)
+            share = min(max(fits[h] / own[h], low), high)
+            gain = share * fits[h] - 0.5 * share * share * own[h]
+            if gain > most:
+                most, m.began = gain, b
+            if gain > one.gain:
+                if one.jet != h % n:
+                    one.next = one.gain
+                one.jet, one.share, one.gain = h % n, abs(share), gain
+            elif gain > one.next and one.jet != h % n:
+                one.next = gain
+        score(fits, own, 2 * n, p.period, b == BEGINNINGS - 1, m.gains, m.sizes, m.way)
+    most = max(most, m.gains.max())
+    likely = m.weak.gain > LIKELY and m.weak.jet == before
+    m.held = m.held + WEIGHED if likely else 0
+    m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share
+    m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
+    left = max(0.0, sure * m.squares - (y * y).sum() - 2.0 * most) / sure
+    m.noise = max(1.0, (BELIEVED + left) / (BELIEVED + m.heard))
+    keep((root, memory))
+
+
+def known_of(
+    vehicle: Vehicle, mocap: Mocap, bumps: float, tolerances: tuple[float, ...], hardest: Array
+) -> Known:
+    """Constants of a vehicle that is seen by these cameras.
+
+    Args:
+        vehicle: the vehicle.
+        mocap: the cameras.
+        bumps: variation of the slope over the table [m/s^2].
+        tolerances: of a jet's thrust, relative, of its direction [rad], of the inertia, relative,
+            and of the centre of mass [m].
+        hardest: largest acceleration that is the jets' [m/s^2, rad/s^2].
+    """
+    thrust, direction, inertia, balance = tolerances
+    n, (x, y) = len(vehicle.jets), vehicle.com
+    sure = np.array([thrust] * n + [direction] * n + [inertia, balance, balance]) ** -2.0
+    turned = [
+        jet.thrust * ((jet.position[0] - x) * jet.push[0] + (jet.position[1] - y) * jet.push[1])
+        for jet in vehicle.jets
+    ]
+    period = max(LOOK, 1.0 / mocap.rate_hz)
+    return Known(
+        np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16,
+        vehicle.tolerance.pulse, bumps * bumps / CELL, sure, np.array(turned), pads_of(vehicle),
+        hardest, period,
+        max(1, round(NEXT_S / period)), 1.0 - min(0.5, period / MEMORY_S),
+    )  # fmt: skip

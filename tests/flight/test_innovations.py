@@ -1,0 +1,189 @@
+"""The filter that believes the files: white innovations, and columns that are derivatives."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from testbed.flight import innovations
+from testbed.flight.estimator import EstimatorParams, model_of
+from testbed.flight.hypotheses import ALL, PUSHED, WEAK, X, Y
+from testbed.flight.jet_faults import known_of
+from testbed.flight.memory import make_memory
+
+FRAME, JETS = 0.01, 8
+TINY = 1e-4  # size of a cause whose effect is compared with the column
+
+
+class Flown:
+    """A rigid body whose jets flow as told, integrated in small steps, and the filter beside it."""
+
+    def __init__(self, vehicle, table, seed=0, noise=0.0, believed=None):
+        self.model, self.believed = model_of(vehicle), model_of(believed or vehicle)
+        self.p = known_of(vehicle, 0.1, EstimatorParams(), table).fine
+        memory, _ = make_memory(JETS, 4, 1, 1)
+        self.m, self.sums = memory.fixed[0].jet_faults.fine, memory.heard.fine
+        self.flown, self.rng = memory.flown, np.random.default_rng(seed)
+        self.noise = noise * np.sqrt(self.p.noise)[[0, 0, 1]]
+        self.x, self.v, self.t = np.zeros(3), np.zeros(3), 0.0
+        self.gives, self.push = np.ones(JETS), np.zeros(3)
+        self.fly(np.zeros((1, JETS)))  # the first pose; every ten more are a look
+
+    def fly(self, duties, steps=10):
+        """Fly frames in which each jet flows at a constant share."""
+        for duty in duties:
+            h = FRAME / steps
+            for _ in range(steps):
+                c, s = np.cos(self.x[2]), np.sin(self.x[2])
+                fx, fy, torque = self.model.effect @ (self.gives * duty)
+                a = np.array((c * fx - s * fy, s * fx + c * fy, 0.0)) / self.model.mass
+                a[2] = torque / self.model.inertia
+                drag = np.array((self.model.drag, self.model.drag, self.model.spin_drag))
+                a += self.push - drag * self.v
+                self.x, self.v = self.x + h * self.v + 0.5 * h * h * a, self.v + h * a
+            self.t += FRAME
+            self.flown[1] += FRAME * (self.flown[0] + 0.5 * FRAME * duty)
+            self.flown[0] += FRAME * duty
+            seen = self.x + self.noise * self.rng.standard_normal(3)
+            innovations.hear(
+                self.p, self.m, self.sums, self.flown, self.believed, 1.0, np.array((self.t, *seen))
+            )
+
+
+def some(rng, frames):
+    """Jets that flow for tenths of a second, one after the other."""
+    return np.repeat((rng.random((frames // 10, JETS)) < 0.2).astype(float), 10, axis=0)
+
+
+@pytest.mark.parametrize("spin_drag", [0.0, 0.9])
+def test_without_noise_the_filter_follows_a_body_that_the_files_describe(spin_drag, vehicle, table):
+    vehicle = replace(vehicle, drag=0.1 * vehicle.mass, spin_drag=spin_drag * vehicle.inertia)
+    flown = Flown(vehicle, table)
+    flown.fly(some(np.random.default_rng(1), 3000))
+    assert np.abs(flown.m.x[:, 1] - flown.v).max() < 4e-4
+    assert np.abs(flown.m.x[:, 2]).max() < 1e-3
+    assert flown.m.squares / flown.m.heard < 0.05  # of the noise that the file states
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_innovations_of_a_healthy_vehicle_are_as_noisy_as_the_files_say(seed, vehicle, table):
+    vehicle = replace(vehicle, spin_drag=0.9 * vehicle.inertia)
+    flown = Flown(vehicle, table, seed, noise=1.0)
+    flown.fly(some(np.random.default_rng(seed), 6000))
+    assert flown.m.squares / flown.m.heard == pytest.approx(1.0, abs=0.1)
+    assert flown.m.noise == pytest.approx(1.0, abs=0.1)
+    assert max(flown.m.gains) < 9.0
+
+
+def beliefs(vehicle):
+    """Vehicle files that are wrong by TINY, by the place of the column that they change."""
+    z, jets, (x, y) = 2 * JETS + 3, vehicle.jets, vehicle.com
+    stronger = [replace(jet, thrust=jet.thrust * (1.0 + TINY)) for jet in jets]
+    c, s = np.cos(TINY), np.sin(TINY)
+    turned = [
+        replace(jet, push=(c * jet.push[0] - s * jet.push[1], s * jet.push[0] + c * jet.push[1]))
+        for jet in jets
+    ]
+    for j in range(JETS):
+        yield j, replace(vehicle, jets=[*jets[:j], stronger[j], *jets[j + 1 :]])
+        yield z + j, replace(vehicle, jets=[*jets[:j], stronger[j], *jets[j + 1 :]])
+        yield JETS + j, replace(vehicle, jets=[*jets[:j], turned[j], *jets[j + 1 :]])
+    yield 2 * JETS, replace(vehicle, inertia=vehicle.inertia / (1.0 + TINY))
+    yield 2 * JETS + 1, replace(vehicle, com=(x + TINY, y))
+    yield 2 * JETS + 2, replace(vehicle, com=(x, y + TINY))
+    yield z + 2 * JETS + ALL, replace(vehicle, jets=stronger)
+    lighter, less = vehicle.mass / (1.0 + TINY), vehicle.drag / (1.0 + TINY)
+    yield z + 2 * JETS + PUSHED, replace(vehicle, mass=lighter, drag=less)
+
+
+def column(flown, place):
+    """What a parameter or a cause since the start changes: position, velocity, acceleration."""
+    z = 2 * JETS + 3
+    if place < z:
+        return flown.sums.sure[:, :, place]
+    return flown.sums.moved[innovations.BEGINNINGS - 1, :, :, place - z]
+
+
+def test_a_column_is_what_the_filter_changes_if_it_believes_the_cause(vehicle, table):
+    vehicle = replace(
+        vehicle, com=(0.01, 0.0), drag=0.1 * vehicle.mass, spin_drag=0.5 * vehicle.inertia
+    )
+    duties = some(np.random.default_rng(2), 800)
+    known = Flown(vehicle, table)
+    known.fly(duties)
+    for place, believed in beliefs(vehicle):
+        other = Flown(vehicle, table, believed=believed)
+        other.fly(duties)
+        expected = column(known, place)
+        near = 0.03 * np.abs(expected).max(axis=0)
+        changed = (other.m.x - known.m.x) / TINY
+        assert (np.abs(changed - expected) < near + 0.03 * np.abs(expected)).all(), place
+
+
+@pytest.mark.parametrize(("axis", "cause"), [(0, X), (1, Y)])
+def test_the_column_of_a_pull_is_what_the_filter_does_not_know_of_it(axis, cause, vehicle, table):
+    duties = some(np.random.default_rng(2), 300)
+    known, pulled = Flown(vehicle, table), Flown(vehicle, table)
+    pulled.push[axis] = TINY
+    known.fly(duties)
+    pulled.fly(duties)
+    moved = (pulled.x - known.x)[axis], (pulled.v - known.v)[axis]
+    expected = column(known, 2 * JETS + 3 + 2 * JETS + cause)[axis]
+    for k in range(2):
+        unknown = (moved[k] - (pulled.m.x - known.m.x)[axis, k]) / TINY
+        assert unknown == pytest.approx(expected[k], rel=0.02, abs=1e-3 * moved[k] / TINY)
+
+
+@pytest.mark.parametrize("jet", range(0, JETS, 3))
+def test_a_jet_that_loses_a_third_is_named_within_a_second_of_its_use(jet, vehicle, table):
+    rng = np.random.default_rng(jet)
+    flown = Flown(vehicle, table, jet, noise=1.0)
+    flown.gives = 1.0 + 0.04 * rng.standard_normal(JETS)
+    flown.fly(some(rng, 1500))
+    assert flown.m.weak.gain < 9.2
+    flown.gives[jet] *= 0.7
+    asked = 0.0
+    while asked < 1.0:
+        duties = some(rng, 50)
+        asked += FRAME * duties[:, jet].sum()
+        flown.fly(duties)
+    weak = flown.m.weak
+    assert (weak.jet, weak.gain > 9.2) == (jet, True)
+    assert weak.share == pytest.approx(0.3, abs=0.07)
+    assert weak.gain == max(flown.m.gains)
+    assert flown.m.gains[WEAK] == weak.gain
+
+
+def test_the_beginning_of_the_best_cause_stays_for_as_long_as_it_is_the_best(vehicle, table):
+    rng = np.random.default_rng(5)
+    flown = Flown(vehicle, table, 5, noise=1.0)
+    flown.fly(some(rng, 1000))
+    flown.gives[2] = 0.6
+    flown.fly(some(rng, 200))
+    shares = []
+    for _ in range(30):
+        flown.fly(some(rng, 100))
+        assert flown.m.weak.jet == 2
+        shares.append(float(flown.m.weak.share))
+    assert np.ptp(shares) < 0.04
+    assert np.mean(shares) == pytest.approx(0.4, abs=0.05)
+
+
+def test_poses_after_a_gap_start_the_filter_again_and_what_was_heard_stays(vehicle, table):
+    flown = Flown(vehicle, table, 1, noise=1.0)
+    flown.fly(some(np.random.default_rng(1), 500))
+    heard, told = float(flown.m.heard), flown.sums.told.copy()
+    flown.x, flown.v = flown.x + 0.5, flown.v + 0.05  # something pushed it meanwhile
+    flown.t += 2.0
+    flown.fly(np.zeros((200, JETS)))
+    assert flown.m.heard > heard
+    assert max(flown.m.gains) < 9.0
+    assert (np.diag(flown.sums.told[:, :-1])[:JETS] > 0.5 * np.diag(told[:, :-1])[:JETS]).all()
+
+
+def test_a_push_from_outside_does_not_count(vehicle, table):
+    flown = Flown(vehicle, table, 1, noise=1.0)
+    flown.fly(some(np.random.default_rng(1), 1000))
+    flown.v = flown.v + np.array((0.1, 0.0, 0.2))
+    flown.fly(some(np.random.default_rng(2), 300))
+    assert max(flown.m.gains) < 9.0
+    assert np.abs(flown.m.x[:, 1] - flown.v).max() < 2e-3
