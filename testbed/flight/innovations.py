@@ -38,7 +38,7 @@ from testbed.flight.hypotheses import (
     score,
 )
 from testbed.flight.record import record
-from testbed.flight.window import MOST, VERDICT, factor, forget, suspect, width_of
+from testbed.flight.window import VERDICT, factor, forget, suspect, suspect_jets, width_of
 
 Array = NDArray[np.float64]
 
@@ -416,22 +416,11 @@ def weigh(p, m, sums):
     for b in range(BEGINNINGS):
         block[:] = sure * sums.blocks[b]
         suspect(block, least, y, parts, fits, own)
-        for h in range(2 * n):
-            if own[h] <= 1e-6 * block[z, h] or own[h] < 1e-9:
-                continue
-            one, low, high = (m.weak, -1.0, 0.0) if h < n else (m.leak, 0.0, MOST)
-            share = min(max(fits[h] / own[h], low), high)
-            gain = share * fits[h] - 0.5 * share * share * own[h]
-            if gain > most:
-                most, m.began = gain, b
-            if gain > one.gain:
-                if one.jet != h % n:
-                    one.next = one.gain
-                one.jet, one.share, one.gain = h % n, abs(share), gain
-            elif gain > one.next and one.jet != h % n:
-                one.next = gain
+        suspect_jets(block[z], fits, own, n, m)
         score(fits, own, 2 * n, p.period, b == BEGINNINGS - 1, m.gains, m.sizes, m.way)
-    most = max(most, m.gains.max())
+        gain = max(m.leak.gain, m.weak.gain, m.gains.max())
+        if gain > most:
+            most, m.began = gain, b
     likely = m.weak.gain > LIKELY and m.weak.jet == before
     m.held = m.held + WEIGHED if likely else 0
     m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share

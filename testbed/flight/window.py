@@ -212,6 +212,31 @@ def suspect(since, least, y, parts, fits, own):
 
 
 @compiled
+def suspect_jets(squares, fits, own, n, found):
+    """Keep the best suspicions of a leak and of a weak jet.
+
+    Args:
+        squares: x'x of each, (count,).
+        fits: see `suspect`.
+        own: the same.
+        n: jets; the first columns are weak ones, the next leaks.
+        found: a record of VERDICT, changed in place.
+    """
+    for h in range(2 * n):
+        if own[h] <= 1e-6 * squares[h] or own[h] < 1e-9:
+            continue
+        one, low, high = (found.weak, -1.0, 0.0) if h < n else (found.leak, 0.0, MOST)
+        share = min(max(fits[h] / own[h], low), high)
+        gain = share * fits[h] - 0.5 * share * share * own[h]
+        if gain > one.gain:
+            if one.jet != h % n:
+                one.next = one.gain
+            one.jet, one.share, one.gain = h % n, abs(share), gain
+        elif gain > one.next and one.jet != h % n:
+            one.next = gain
+
+
+@compiled
 def decide(window, least, y, period, every, found):
     """Write the best cause of each kind to `found`, a record of VERDICT.
 
@@ -239,18 +264,7 @@ def decide(window, least, y, period, every, found):
         if not (every or k in BEGUN):
             continue
         suspect(since, least, y, parts, fits, own)
-        for h in range(2 * n):
-            if own[h] <= 1e-6 * since[-2, h] or own[h] < 1e-9:
-                continue
-            one, low, high = (found.weak, -1.0, 0.0) if h < n else (found.leak, 0.0, MOST)
-            share = min(max(fits[h] / own[h], low), high)
-            gain = share * fits[h] - 0.5 * share * share * own[h]
-            if gain > one.gain:
-                if one.jet != h % n:
-                    one.next = one.gain
-                one.jet, one.share, one.gain = h % n, abs(share), gain
-            elif gain > one.next and one.jet != h % n:
-                one.next = gain
+        suspect_jets(since[m], fits, own, n, found)
         always = k == blocks.shape[0] - 1
         score(fits, own, 2 * n, period, always, found.gains, found.sizes, found.way)
         gain = max(found.leak.gain, found.weak.gain, found.gains.max())

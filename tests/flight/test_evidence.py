@@ -112,8 +112,10 @@ def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle, table):
     ("changes", "named"),
     [
         ({}, True),
-        ({"gain": 8.8}, False),
-        ({"gain": 9.6}, True),
+        ({"gain": 12.4}, False),
+        ({"gain": 12.6}, True),
+        ({"gain": 9.6, "held": 20}, False),
+        ({"gain": 9.6, "held": 22}, True),  # it lasts
         ({"share": 0.19}, False),
         ({"next": 39.5}, False),  # another jet
         ({"leak": 39.5}, False),
@@ -126,6 +128,7 @@ def test_the_innovations_name_a_jet_only_if_it_explains_most(changes, named, veh
     fine = evidence.m.fine
     fine.weak.jet, fine.weak.share = 3, changes.get("share", 0.3)
     fine.weak.gain = fine.gains[WEAK] = changes.get("gain", 40.0)
+    fine.held = changes.get("held", 0)
     fine.weak.next, fine.gains[LEAK] = changes.get("next", 0.0), changes.get("leak", 0.0)
     evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
     assert evidence.finely_weak[0] == named

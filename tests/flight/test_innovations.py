@@ -187,3 +187,17 @@ def test_a_push_from_outside_does_not_count(vehicle, table):
     flown.fly(some(np.random.default_rng(2), 300))
     assert max(flown.m.gains) < 9.0
     assert np.abs(flown.m.x[:, 1] - flown.v).max() < 2e-3
+
+
+def test_a_weak_jet_has_been_likely_for_as_long_as_it_explains_enough(vehicle, table):
+    rng = np.random.default_rng(5)
+    flown = Flown(vehicle, table, 5, noise=1.0)
+    flown.fly(some(rng, 1000))
+    assert flown.m.held == 0
+    flown.gives[2] = 0.5
+    flown.fly(some(rng, 400))
+    first = int(flown.m.held)
+    flown.fly(some(rng, 200))
+    assert 0 < first < int(flown.m.held) == first + 20  # looks
+    innovations.pause(flown.m)
+    assert flown.m.held == 0
