@@ -121,26 +121,29 @@ def reconfigure(p, memory, row, k):
     """Take the jet that row `k` of the fault table names out, or compensate for it, if possible.
 
     Two bad jets in a flight mean a wrong vehicle file or wrong wires, and are not flown around. If
-    the doubt between a leak and a weak jet comes back without the jet in doubt, it is a leak.
+    the doubt between a leak and a weak jet comes back without the jet in doubt, it is a leak, and
+    the vehicle flies on if the fault table says so of a valve stuck open.
     """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
     named, t = memory.named, row.told.t
-    gives, leaks = fired.gives.copy(), fired.leaks.copy()
+    if reconfiguration.is_of_the_open_jet(fired.leaks, m.jet_faults, detector):
+        return
     j, doubted = reconfiguration.culprit(m.jet_faults, detector), m.probed - 1
     back = doubted >= 0 and doubted != j and t - named[doubted] < reconfiguration.PROBE_S
     if back:  # it was not that one
-        fired.gives[doubted] = 1.0
+        fired.gives[doubted], named[doubted] = 1.0, 0.0
+    gives, leaks, may = fired.gives.copy(), fired.leaks.copy(), True
+    if back and detector == reconfiguration.DOUBTFUL:
+        detector, may = reconfiguration.OPEN, reconfiguration.flies_with_a_leak(p.rows)
+        j = reconfiguration.culprit(m.jet_faults, detector)
     others = 0
     for i in range(named.shape[0]):
-        others += named[i] > 0.0 and i != j and not (back and i == doubted)
+        others += named[i] > 0.0 and i != j
     reconfiguration.change(fired.gives, fired.leaks, m.jet_faults, detector)
     force, torque = reconfiguration.room(p.jets.effect, fired.gives, fired.leaks)
-    leak = back and detector == reconfiguration.DOUBTFUL
-    if others == 0 and not leak and reconfiguration.suffices(p.whole, force, torque):
+    if others == 0 and may and reconfiguration.suffices(p.whole, force, torque):
         m.strength = min(1.0, force / p.whole.force)
-        if back:
-            named[doubted] = 0.0
-        m.probed = j + 1 if detector == reconfiguration.DOUBTFUL else 0
+        m.probed = j + 1 if reconfiguration.is_a_guess(m.jet_faults, detector) else 0
         named[j] = t
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
@@ -148,7 +151,8 @@ def reconfigure(p, memory, row, k):
         permanent.restart(m.permanent, memory.permanent)
         return
     fired.gives[:], fired.leaks[:] = gives, leaks
-    fault_monitor.refuse(p.rows, memory.counters, k, row.numbers[detector], row.done)
+    number = row.numbers[p.rows.detector[k]]
+    fault_monitor.refuse(p.rows, memory.counters, k, number, row.done)
 
 
 @pasted

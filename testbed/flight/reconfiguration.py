@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
 from testbed.flight import innovations
-from testbed.flight.bad_jet import is_finely_weak, is_weak
+from testbed.flight.bad_jet import DOUBT, is_finely_weak, is_weak
 from testbed.flight.effectiveness import SPREAD
 from testbed.flight.jet_faults import AGAIN, CALM, pause
 from testbed.flight.window import clear
@@ -24,6 +24,7 @@ LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does 
 UPHILL = 2.0  # and this many times the force that the table's slope takes
 SHUT = 0.35  # a jet that gives less is not used: its share is hardly known
 WIDE_OPEN = 0.8  # a jet that leaks more is stuck open
+UNSURE = 0.15  # a smaller leak may be an error in the thrust of a jet that is stuck open
 FLAT = 1e-9  # squared length of a cross product that counts as zero
 
 PROBE_S = 10.0  # so long a jet that may only look weak is taken back if another one is named [s]
@@ -128,6 +129,34 @@ def change(gives, leaks, suspected, detector):
     if leaks[j] > WIDE_OPEN:
         leaks[j] = 1.0
     gives[j] = max(gives[j], leaks[j])
+
+
+@compiled
+def is_a_guess(suspected, detector):
+    """Whether a leak of another jet is nearly as likely as the jet that was named.
+
+    While the jet opposite to one that is stuck open fires all the time, the two are the same.
+    """
+    fine = suspected.fine
+    near = fine.leak.gain > (1.0 - DOUBT) * fine.weak.gain
+    guessed = detector not in (OPEN, LEAKS) and is_finely_weak(suspected) and near
+    return detector == DOUBTFUL or guessed
+
+
+@compiled
+def is_of_the_open_jet(leaks, suspected, detector):
+    """Whether a small leak is the unknown part of one that is compensated for already."""
+    small = detector != OPEN and suspected.leak.share < UNSURE
+    return small and detector in (LEAKS, DOUBTFUL) and leaks.max() >= WIDE_OPEN
+
+
+@compiled
+def flies_with_a_leak(rows):
+    """Whether the fault table flies on with a valve stuck open; `rows` is fault_monitor.Rows."""
+    for k in range(rows.detector.shape[0]):
+        if rows.detector[k] == OPEN and rows.reconfigures[k] == 1:
+            return True
+    return False
 
 
 @compiled

@@ -17,8 +17,20 @@ from testbed.core.fault_injection import Injection
 from testbed.core.jets import JetHealth, effect_matrix
 from testbed.flight import allocation, modulation
 from testbed.flight.allocation import AllocatorParams, weakest_force
+from testbed.flight.fault_monitor import rows_of
+from testbed.flight.hypotheses import LEAK
 from testbed.flight.modulation import SigmaDeltaParams
-from testbed.flight.reconfiguration import LEAST, change, culprit, room, suffices, whole_of
+from testbed.flight.reconfiguration import (
+    LEAST,
+    change,
+    culprit,
+    flies_with_a_leak,
+    is_a_guess,
+    is_of_the_open_jet,
+    room,
+    suffices,
+    whole_of,
+)
 from testbed.metrics.run_metrics import weakest_jet, with_jets
 from testbed.rig.observers import MetricsObserver, NullObserver
 from testbed.rig.twin import make_twin
@@ -107,7 +119,7 @@ def test_a_finding_changes_its_jet_only(vehicle, table, detector, share, gives, 
     assert (np.delete(leaked, 5) == 0.0).all()
 
 
-def test_the_jet_that_filtered_looks_name_is_the_one_that_changes(vehicle, table):
+def test_the_jet_that_the_innovations_name_is_the_one_that_changes(vehicle, table):
     memory = agent_of(vehicle, table, shipped_faults()).memory
     suspected, given = memory.fixed[0].jet_faults, memory.fired.gives
     suspected.weak.jet, suspected.far.weak.jet, suspected.fine.weak.jet = 1, 2, 6
@@ -116,6 +128,53 @@ def test_the_jet_that_filtered_looks_name_is_the_one_that_changes(vehicle, table
     change(given, memory.fired.leaks, suspected, Detector.JET_MISSING.value)
     assert given[6] == pytest.approx(0.7)
     assert (np.delete(given, 6) == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("detector", "leak", "weak", "guess"),
+    [
+        (Detector.JET_LEAKS_OR_WEAK, 0.0, 0.0, True),
+        (Detector.JET_MISSING, 300.0, 400.0, False),
+        (Detector.JET_MISSING, 380.0, 400.0, True),  # the opposite jet fires all the time
+        (Detector.JET_OPEN, 380.0, 400.0, False),
+    ],
+)
+def test_a_weak_jet_is_a_guess_if_a_leak_is_nearly_as_likely(
+    detector, leak, weak, guess, vehicle, table
+):
+    suspected = agent_of(vehicle, table, shipped_faults()).memory.fixed[0].jet_faults
+    fine = suspected.fine
+    fine.leak.gain = fine.gains[LEAK] = leak
+    fine.weak.gain, fine.weak.share, fine.weak.jet = weak, 0.9, 3
+    assert is_a_guess(suspected, detector.value) == guess
+
+
+@pytest.mark.parametrize(
+    ("detector", "share", "open_jet", "known"),
+    [
+        (Detector.JET_LEAKS, 0.09, 1.0, True),
+        (Detector.JET_LEAKS_OR_WEAK, 0.09, 1.0, True),
+        (Detector.JET_LEAKS, 0.09, 0.3, False),
+        (Detector.JET_LEAKS, 0.2, 1.0, False),
+        (Detector.JET_OPEN, 0.09, 1.0, False),
+        (Detector.JET_MISSING, 0.09, 1.0, False),
+    ],
+)
+def test_a_small_leak_beside_a_jet_that_is_stuck_open_is_its_own_error(
+    detector, share, open_jet, known, vehicle, table
+):
+    memory = agent_of(vehicle, table, shipped_faults()).memory
+    memory.fired.leaks[2] = open_jet
+    memory.fixed[0].jet_faults.leak.share = share
+    found = is_of_the_open_jet(memory.fired.leaks, memory.fixed[0].jet_faults, detector.value)
+    assert found == known
+
+
+def test_the_row_of_a_valve_stuck_open_says_whether_a_leak_is_flown_around():
+    shipped = shipped_faults()
+    assert not flies_with_a_leak(rows_of(shipped))
+    row = replace(shipped["valve_stuck_open"], response="reconfigure", otherwise="land")
+    assert flies_with_a_leak(rows_of({**shipped, "valve_stuck_open": row}))
 
 
 def test_a_jet_that_gives_nothing_is_not_used(vehicle):
@@ -160,6 +219,28 @@ STARTS = ("vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.3,0.3,1.
 
 def shut(jet):
     return Injection("stick_closed", "sat1", at_s=0.5, jet=jet)
+
+
+WEAK_JETS = ("vehicles.*.model.jets.*.thrust=0.25", "vehicles.*.model.mass=20")
+OPEN = (
+    "faults.valve_stuck_open.response=reconfigure", "faults.valve_stuck_open.otherwise=land",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("jet", range(1, 9))
+def test_a_jet_that_sticks_open_on_the_way_of_a_weak_vehicle_is_named_and_no_other(jet):
+    """The opposite jet fires all the time, so it looks as if it gave nothing."""
+    stuck = Injection("stick_open", "sat1", at_s=4.0, jet=jet)
+    ending, metrics = flown(*STARTS, *WEAK_JETS, *OPEN, inject=[stuck], lasts=20.0)
+    assert ending.fault is None
+    assert [k for k, one in enumerate(metrics.jets["sat1"], 1) if one.words] == [jet]
+
+
+def test_the_shipped_table_lands_a_vehicle_whose_valve_is_stuck_open():
+    stuck = Injection("stick_open", "sat1", at_s=4.0, jet=1)
+    ending, metrics = flown(*STARTS, *WEAK_JETS, inject=[stuck], lasts=20.0)
+    assert "jet 1" in ending.fault.words
+    assert not any(one.words for k, one in enumerate(metrics.jets["sat1"], 1) if k != 1)
 
 
 def test_a_vehicle_flies_on_without_a_jet_that_is_stuck_shut():
