@@ -10,6 +10,9 @@ from testbed.flight.hypotheses import CLEAR, LEAK, NUDGE, SURE, WEAK, beyond, ou
 
 ENOUGH = 0.2  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
+UNSURE = (
+    0.2  # the same beside a jet that is stuck open: it may be an error in the thrust of that one
+)
 LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 UNLIKE = 0.6  # largest gain of a leak beside it, as a share
 PART = 0.15  # smallest missing share of thrust that is worth a warning
@@ -32,7 +35,13 @@ def leaks(m):
     """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
     other = beyond(m.gains, LEAK)
     sure = m.leak.gain > other + apart(m.leak.gain, other) and m.leak.gain > SURE
-    return sure and m.leak.share > TRACE and outlasts(m.gains, LEAK)
+    return sure and m.leak.share > trace(m) and outlasts(m.gains, LEAK)
+
+
+@compiled
+def trace(m):
+    """Smallest leak that is a fault, as a share of thrust."""
+    return UNSURE if m.flies_open == 1 else TRACE
 
 
 @compiled
@@ -94,7 +103,9 @@ def leaks_or_is_weak(m):
     """
     other = beyond(m.gains, LEAK)
     may = (
-        m.pulled == 0.0 and m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
+        m.pulled == 0.0
+        and m.leak.gain > other - apart(m.leak.gain, other)
+        and m.leak.share > trace(m)
     )
     return may and outlasts(m.gains, LEAK)
 

@@ -126,8 +126,6 @@ def reconfigure(p, memory, row, k):
     """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
     named, t = memory.named, row.told.t
-    if reconfiguration.is_of_the_open_jet(fired.leaks, m.jet_faults, detector):
-        return
     j, doubted = reconfiguration.culprit(m.jet_faults, detector), m.probed - 1
     back = doubted >= 0 and doubted != j and t - named[doubted] < reconfiguration.PROBE_S
     if back:  # it was not that one
@@ -144,7 +142,7 @@ def reconfigure(p, memory, row, k):
     if others == 0 and may and reconfiguration.suffices(p.whole, force, torque):
         m.strength = min(1.0, force / p.whole.force)
         m.probed = j + 1 if reconfiguration.is_a_guess(m.jet_faults, detector) else 0
-        named[j] = t
+        named[j], m.jet_faults.flies_open = t, int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
         reconfiguration.restart(p.jets_known, m.jet_faults, memory.heard)

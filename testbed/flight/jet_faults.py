@@ -102,6 +102,7 @@ MEMORY = record(
     stretches=int,  # sums so far
     began=int,  # block of the long window in which its best cause began
     pulled=float,  # size of the pull of which the long window is sure [m/s^2]; 0: none
+    flies_open=int,  # 1: a jet that is stuck open is compensated
     far=record(**VERDICT),  # of the long window
     fine=innovations.MEMORY,
     **VERDICT,  # of the short one

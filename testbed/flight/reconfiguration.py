@@ -24,7 +24,6 @@ LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does 
 UPHILL = 2.0  # and this many times the force that the table's slope takes
 SHUT = 0.35  # a jet that gives less is not used: its share is hardly known
 WIDE_OPEN = 0.8  # a jet that leaks more is stuck open
-UNSURE = 0.15  # a smaller leak may be an error in the thrust of a jet that is stuck open
 FLAT = 1e-9  # squared length of a cross product that counts as zero
 
 PROBE_S = 10.0  # so long a jet that may only look weak is taken back if another one is named [s]
@@ -141,13 +140,6 @@ def is_a_guess(suspected, detector):
     near = fine.leak.gain > (1.0 - DOUBT) * fine.weak.gain
     guessed = detector not in (OPEN, LEAKS) and is_finely_weak(suspected) and near
     return detector == DOUBTFUL or guessed
-
-
-@compiled
-def is_of_the_open_jet(leaks, suspected, detector):
-    """Whether a small leak is the unknown part of one that is compensated for already."""
-    small = detector != OPEN and suspected.leak.share < UNSURE
-    return small and detector in (LEAKS, DOUBTFUL) and leaks.max() >= WIDE_OPEN
 
 
 @compiled
