@@ -72,7 +72,7 @@ class Known(NamedTuple):
     hardest: Array  # largest acceleration that is the jets' [m/s^2, rad/s^2]
     period: float  # of a look [s]
     next: int  # looks from one beginning to the next
-    keep: float  # factor of forgetting, per look
+    keep: float  # factor of forgetting, from one beginning to the next
 
 
 MEMORY = record(
@@ -194,12 +194,9 @@ def look(p, m, sums, flown, model, thrust_scale):
     push = effects(p, m, model, thrust_scale, gone, (span, 0.5 * span * span, two), acts)
     m.looks += 1
     age(p, m, sums)
-    sums.told[:] *= p.keep
-    sums.blocks[:] *= p.keep
-    m.heard, m.squares = p.keep * m.heard, p.keep * m.squares
     speed = np.hypot(m.x[0, 1], m.x[1, 1])
     for axis in range(3):
-        state, cov, both = m.x[axis], m.cov[axis], acts[:, axis]
+        state, cov, both = m.x[axis], m.cov[axis], acts[axis]
         shaken = np.zeros(2)  # variance by pulses, of velocity and of the mean pose
         for j in range(n):
             shaken[0] += (p.pulse * both[0, j]) ** 2
@@ -249,7 +246,7 @@ def effects(p, m, model, thrust_scale, gone, whole, acts):
         thrust_scale: of the thrust at the supply pressure.
         gone: of each jet: impulse, its integral to the end of the look, and to its poses, (3, n).
         whole: the same of a constant unit push.
-        acts: zeros; written, (3, 3, m + columns): velocity, way and mean pose of each axis.
+        acts: zeros; written, (3, 3, m + columns): for each axis velocity, way and mean pose.
     """
     n, push = gone.shape[1], np.zeros((3, 3))
     z = p.sure.shape[0]
@@ -257,7 +254,7 @@ def effects(p, m, model, thrust_scale, gone, whole, acts):
     theta = m.x[2, 0] + 0.5 * whole[0] * m.x[2, 1]
     c, s = np.cos(theta), np.sin(theta)
     for kind in range(3):
-        act, fx, fy = acts[kind], 0.0, 0.0
+        act, fx, fy = acts[:, kind], 0.0, 0.0
         for j in range(n):
             ax, ay = model.effect[0, j] / model.mass, model.effect[1, j] / model.mass
             flow = thrust_scale * gone[kind, j]
@@ -337,15 +334,16 @@ def add(sums, axis, acts, sees, steps, gain, error, weight, x):
     """
     z = sums.told.shape[0]
     g, x = x[0, :z], x[1, z:]
-    respond(sums.sure[axis], acts[:, :z], sees, steps, gain, g)
+    respond(sums.sure[axis], acts[0, :z], acts[1, :z], acts[2, :z], sees, steps, gain, g)
     for i in range(z):
         a = weight * g[i]
         for k in range(z):
             sums.told[i, k] += a * g[k]
         sums.told[i, z] += a * error
+    speeds, ways, shows = acts[0, z:], acts[1, z:], acts[2, z:]
     for b in range(BEGINNINGS):
         block = sums.blocks[b]
-        respond(sums.moved[b, axis], acts[:, z:], sees, steps, gain, x)
+        respond(sums.moved[b, axis], speeds, ways, shows, sees, steps, gain, x)
         for k in range(z):
             a = weight * g[k]
             for i in range(x.shape[0]):
@@ -357,29 +355,33 @@ def add(sums, axis, acts, sees, steps, gain, error, weight, x):
 
 
 @compiled
-def respond(moved, acts, sees, steps, gain, x):
+def respond(moved, speeds, ways, shows, sees, steps, gain, x):
     """Write to `x` what each column changes in the innovation, and advance what it changes.
+
+    In short loops over rows: a processor does several columns at a time.
 
     Args:
         moved: position, velocity and acceleration of the filter without poses, (3, count).
-        acts: see `add`.
-        sees: the same.
+        speeds: what each column gives in velocity, (count,).
+        ways: in way.
+        shows: in the mean pose.
+        sees: see `add`.
         steps: the same.
         gain: the same.
         x: (count,).
     """
     (one, two), (stays, moves, drifts) = sees, steps
     position, velocity, slope = moved[0], moved[1], moved[2]
+    of_position, of_velocity, of_slope = gain
     for i in range(x.shape[0]):
-        x[i] = position[i] + one * velocity[i] + two * slope[i] + acts[2, i]
-        a, b, c = (
-            position[i] - gain[0] * x[i],
-            velocity[i] - gain[1] * x[i],
-            slope[i] - gain[2] * x[i],
-        )
-        position[i] = a + moves * b + drifts * c + acts[1, i]
-        velocity[i] = stays * b + moves * c + acts[0, i]
-        slope[i] = c
+        x[i] = position[i] + one * velocity[i] + two * slope[i] + shows[i]
+    for i in range(x.shape[0]):
+        velocity[i] -= of_velocity * x[i]
+        slope[i] -= of_slope * x[i]
+    for i in range(x.shape[0]):
+        position[i] += moves * velocity[i] + drifts * slope[i] + ways[i] - of_position * x[i]
+    for i in range(x.shape[0]):
+        velocity[i] = stays * velocity[i] + moves * slope[i] + speeds[i]
 
 
 @compiled
@@ -390,6 +392,9 @@ def age(p, m, sums):
     """
     if m.looks % p.next != 0:
         return
+    sums.told[:] *= p.keep
+    sums.blocks[:] *= p.keep
+    m.heard, m.squares = p.keep * m.heard, p.keep * m.squares
     count, old = m.looks // p.next, RECENT
     fresh = count % RECENT
     while count % 2 == 0 and old < BEGINNINGS - 2:
@@ -414,7 +419,9 @@ def weigh(p, m, sums):
     parts, fits, own, block = borrowed((memory[:4], memory[4], memory[5], memory[6:]))
     most, m.began = 0.0, BEGINNINGS - 1
     for b in range(BEGINNINGS):
-        block[:] = sure * sums.blocks[b]
+        for i in range(z + 2):
+            for h in range(columns):
+                block[i, h] = sure * sums.blocks[b, i, h]
         suspect(block, least, y, parts, fits, own)
         suspect_jets(block[z], fits, own, n, m)
         score(fits, own, 2 * n, p.period, b == BEGINNINGS - 1, m.gains, m.sizes, m.way)
@@ -451,9 +458,9 @@ def known_of(
         for jet in vehicle.jets
     ]
     period = max(LOOK, 1.0 / mocap.rate_hz)
+    steps = max(1, round(NEXT_S / period))
     return Known(
         np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16,
         vehicle.tolerance.pulse, bumps * bumps / CELL, sure, np.array(turned), pads_of(vehicle),
-        hardest, period,
-        max(1, round(NEXT_S / period)), 1.0 - min(0.5, period / MEMORY_S),
+        hardest, period, steps, 1.0 - min(0.5, steps * period / MEMORY_S),
     )  # fmt: skip
