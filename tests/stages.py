@@ -15,6 +15,7 @@ from testbed.flight import (
     detectors,
     estimator,
     fault_monitor,
+    fired,
     flow,
     gate,
     jet_faults,
@@ -87,7 +88,7 @@ class Estimator:
     """The stage `estimator`."""
 
     def __init__(self, params, vehicle, mocap, memory=8):
-        self.p, self.model = estimator.filter_of(params, mocap), estimator.model_of(vehicle)
+        self.p, self.model = estimator.filter_of(params, mocap), fired.model_of(vehicle)
         self.delay = vehicle.command_delay_s
         everything, _ = make_memory(len(vehicle.jets), memory, 1, 1)
         self.m, self.fired = everything.fixed[0].estimator, everything.fired
@@ -97,7 +98,7 @@ class Estimator:
     def remember(self, command):
         times = np.array(command.on_us + command.offset_us, dtype=float)
         start, end = command.issued_at + self.delay, command.valid_until + self.delay
-        estimator.note(self.fired, start, end, times)
+        fired.note(self.fired, start, end, times)
 
     def update(self, samples, now):
         estimator.begin_tick.py_func(self.m)
@@ -176,7 +177,7 @@ class Flow:
 
     def __init__(self, vehicle, period):
         self.begun, self.period = np.zeros(len(vehicle.jets)), period
-        self.valve = estimator.model_of(vehicle).valve
+        self.valve = fired.model_of(vehicle).valve
 
     def of(self, command):
         times, share = np.array(command.on_us + command.offset_us, float), self.begun.copy()

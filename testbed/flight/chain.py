@@ -26,6 +26,7 @@ from testbed.flight import (
 )
 from testbed.flight.allocation import allocate
 from testbed.flight.detectors import compare
+from testbed.flight.fired import note
 from testbed.flight.flow import flow_shares
 from testbed.flight.modulation import pulses
 from testbed.flight.plan import WEAKEST, in_microseconds
@@ -196,7 +197,7 @@ def plan(p, memory, row, wrench, thrust_scale):
     m.seq += 1
     m.thrust_scale, done.seq = thrust_scale, m.seq
     starts, ends = told.t + p.command_delay, told.t + period + p.command_delay
-    estimator.note(memory.fired, starts, ends, memory.times)
+    note(memory.fired, starts, ends, memory.times)
     flow_shares(memory.times, memory.begun, p.model.valve, period, memory.flowed)
     memory.flowed[:] = fired.gives * memory.flowed + fired.leaks * (1.0 - memory.flowed)
     m.gas_used = online.gas_used(

@@ -19,11 +19,10 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.compiled import borrowed, compiled, keep, pasted
-from testbed.core.jets import effect_matrix
-from testbed.core.pulse import Timing, open_time, timing
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
-from testbed.core.vehicle import NonNegative, Positive, Vehicle
+from testbed.core.vehicle import NonNegative, Positive
+from testbed.flight.fired import mean_wrench
 from testbed.flight.pose_check import STILLS, is_still, note_step, off_line
 from testbed.flight.record import record
 
@@ -48,7 +47,6 @@ SHOVE = 0.2  # velocity spread after a push [m/s]
 SHOVE_SPIN = 0.5  # [rad/s]
 SETTLED = 1.0  # from the first pose until the velocity is known [s]
 USUAL = 0.005  # share of the newest pose in the mean noise of these cameras
-HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
 SUB_STEP = 0.01  # [s] the wrench is averaged over this; at 0.1 m/s^2 that is 5 um
 
 
@@ -63,108 +61,6 @@ class EstimatorParams(Struct, frozen=True, forbid_unknown_fields=True):
     spin_bias_spread: NonNegative = 3e-3  # [rad/s^2]
     gate_sigma: Positive = 6.0  # innovations beyond this many sigmas are refused
     speed_spread: NonNegative = 0.005  # of the start "at rest", one sigma [m/s and rad/s]
-
-
-class Fired(NamedTuple):
-    """The last plans, newest last, and the jets, as the wrench model needs them."""
-
-    start: Array  # (m,) when each plan starts on the board [s]
-    end: Array  # (m,) when it is replaced or over [s]
-    on: Array  # (m, n) [s]
-    offset: Array  # (m, n) [s]
-    held: Array  # (m, n) on-time of the same pulse in the plans before [s]
-    gives: Array  # see reconfiguration.Able, (n,)
-    leaks: Array  # (n,)
-
-
-@compiled
-def note(fired, start, end, times_us):
-    """Add a plan, in place; `times_us` are on, then offset in microseconds, shape (2 n,).
-
-    A pulse that lasts to the end of its plan may continue with the next one. Its valve stays open.
-    """
-    last, jets = fired.start.shape[0] - 1, fired.on.shape[1]
-    fired.end[last] = min(fired.end[last], start)
-    for m in range(last):
-        fired.start[m], fired.end[m] = fired.start[m + 1], fired.end[m + 1]
-        fired.on[m] = fired.on[m + 1]
-        fired.offset[m] = fired.offset[m + 1]
-        fired.held[m] = fired.held[m + 1]
-    fired.start[last], fired.end[last] = start, end
-    for j in range(jets):
-        fired.on[last, j] = 1e-6 * times_us[j]
-        fired.offset[last, j] = 1e-6 * times_us[jets + j]
-        before, fired.held[last, j] = last - 1, 0.0
-        if before >= 0 and fired.on[before, j] > 0.0 and fired.offset[last, j] < HAIR:
-            up = fired.start[before] + fired.offset[before, j]
-            if min(up + fired.on[before, j], fired.end[before]) > start - HAIR:
-                fired.held[last, j] = fired.held[before, j] + fired.on[before, j]
-
-
-class Model(NamedTuple):
-    """Constants of the vehicle for compiled code."""
-
-    effect: Array  # (3, n), see jets.py
-    mass: float  # [kg]
-    inertia: float  # [kg m^2]
-    droop: float  # see vehicle.Air
-    drag: float  # of the bearing, over mass [1/s]
-    spin_drag: float  # over inertia [1/s]
-    valve: Timing
-
-
-def model_of(vehicle: Vehicle) -> Model:
-    """The constants of a vehicle file."""
-    return Model(
-        effect_matrix(vehicle.jets, about=vehicle.com),
-        vehicle.mass,
-        vehicle.inertia,
-        vehicle.air.droop,
-        vehicle.drag / vehicle.mass,
-        vehicle.spin_drag / vehicle.inertia,
-        timing(vehicle.valve),
-    )
-
-
-@compiled
-def mean_wrench(fired, model, flow, start, end):
-    """Mean body wrench of the fired pulses over [start, end]: (fx, fy, tau).
-
-    Args:
-        fired: the last plans.
-        model: of the vehicle.
-        flow: written; for how long each jet flowed, in times of its whole thrust, (n,) [s].
-        start: [s].
-        end: [s].
-    """
-    jets = model.effect.shape[1]
-    flow[:] = 0.0
-    open_jets = 0.0
-    closing = model.valve.close_delay + model.valve.close_ramp
-    for m in range(fired.start.shape[0]):
-        if fired.start[m] >= end or fired.end[m] + closing <= start:
-            continue
-        for j in range(jets):
-            if fired.on[m, j] > 0.0:
-                up = fired.start[m] + fired.offset[m, j]
-                down = min(up + fired.on[m, j], fired.end[m])
-                held = fired.held[m, j]
-                flow[j] += open_time(up - held, down, model.valve, start, end)
-                if held > 0.0:  # counted with the plans before
-                    flow[j] -= open_time(up - held, up, model.valve, start, end)
-    span = end - start
-    for j in range(jets):
-        flow[j] = fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
-        open_jets += flow[j]
-    share = 1.0 / (1.0 + model.droop * max(0.0, open_jets / span - 1.0))
-    fx = fy = tau = 0.0
-    for j in range(jets):
-        flow[j] *= share
-        level = flow[j] / span
-        fx += model.effect[0, j] * level
-        fy += model.effect[1, j] * level
-        tau += model.effect[2, j] * level
-    return fx, fy, tau
 
 
 @compiled

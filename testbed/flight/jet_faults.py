@@ -32,7 +32,7 @@ from testbed.core.compiled import borrowed, compiled, keep, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
-from testbed.flight import innovations
+from testbed.flight import innovation_sums, innovations
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of
@@ -72,7 +72,7 @@ class Known(NamedTuple):
     effect: Array  # acceleration by each fully open jet in B, (3, n) [m/s^2, rad/s^2]
     gyration: float  # mass over inertia [1/m^2]
     droop: float  # see vehicle.Air
-    drag: float  # see estimator.Model [1/s]
+    drag: float  # see fired.Model [1/s]
     spin_drag: float  # [1/s]
     sure: Array  # 1 / tolerance^2 of z, (m,)
     slope: float  # [m/s^2], one sigma
@@ -122,7 +122,7 @@ class Heard(NamedTuple):
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
-    fine: innovations.Sums
+    fine: innovation_sums.Sums
     nudges: Nudges
 
 

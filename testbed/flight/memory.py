@@ -14,14 +14,14 @@ from testbed.flight import (
     effectiveness,
     estimator,
     gate,
-    innovations,
+    innovation_sums,
     jet_faults,
     permanent,
     safety,
     tracker,
 )
-from testbed.flight.estimator import Fired
 from testbed.flight.fault_monitor import Counters
+from testbed.flight.fired import Fired
 from testbed.flight.hypotheses import COLUMNS
 from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, Heard
 from testbed.flight.modulation import Carried
@@ -83,7 +83,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         Fired: [(plans,), (plans,), *3 * [(plans, jets)], one_a_jet, one_a_jet],
         Heard: [
             one_a_jet, (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
-            (m, m + 1), one_a_jet, one_a_jet, *window, *window, *innovations.shapes_of(jets),
+            (m, m + 1), one_a_jet, one_a_jet, *window, *window, *innovation_sums.shapes_of(jets),
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],
         Counters: 5 * [one_a_row],
@@ -103,7 +103,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
     duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
     near, far = Window(*parts[:6]), Window(*parts[6:12])
-    fine, nudges = innovations.Sums(*parts[12:17]), Nudges(*parts[17:])
+    fine, nudges = innovation_sums.Sums(*parts[12:17]), Nudges(*parts[17:])
     fired = Fired(*views[Fired])
     heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, fine, nudges)
     fired.start[:] = fired.end[:] = -np.inf

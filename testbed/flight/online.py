@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
 from testbed.core.vehicle import Vehicle
-from testbed.flight.estimator import Model
+from testbed.flight.fired import Model
 from testbed.flight.plan import WEAKEST
 from testbed.flight.tracker import Gains
 
@@ -104,7 +104,7 @@ def follow_jets(fired, heard, period):
     jet that leaks, or was taken out, stays as it was found.
 
     Args:
-        fired: estimator.Fired.
+        fired: fired.Fired.
         heard: jet_faults.Heard.
         period: [s].
     """

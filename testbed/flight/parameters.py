@@ -12,6 +12,7 @@ from testbed.flight import (
     detectors,
     estimator,
     fault_monitor,
+    fired,
     gate,
     jet_faults,
     online,
@@ -50,7 +51,7 @@ class FlightParams(Struct, frozen=True, forbid_unknown_fields=True):
 class Parameters(NamedTuple):
     """Constants of a vehicle's chain, stage by stage."""
 
-    model: estimator.Model
+    model: fired.Model
     filter: estimator.Filter
     online: online.Online
     command_delay: float  # from issuing a plan to its start on the board [s]
@@ -82,7 +83,7 @@ def make_parameters(
     jets = allocation.jets_of(flight.allocator, vehicle)
     known = jet_faults.known_of(vehicle, period, flight.estimator, table)
     return Parameters(
-        model=estimator.model_of(vehicle),
+        model=fired.model_of(vehicle),
         filter=estimator.filter_of(flight.estimator, table.mocap),
         online=online.online_of(flight.online, vehicle),
         command_delay=vehicle.command_delay_s,

@@ -5,8 +5,10 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.flight import innovations
-from testbed.flight.estimator import EstimatorParams, model_of
+from testbed.flight.estimator import EstimatorParams
+from testbed.flight.fired import model_of
 from testbed.flight.hypotheses import ALL, PUSHED, WEAK, X, Y
+from testbed.flight.innovation_sums import BEGINNINGS
 from testbed.flight.jet_faults import known_of
 from testbed.flight.memory import make_memory
 
@@ -100,7 +102,7 @@ def column(flown, place):
     z = 2 * JETS + 3
     if place < z:
         return flown.sums.sure[:, :, place]
-    return flown.sums.moved[innovations.BEGINNINGS - 1, :, :, place - z]
+    return flown.sums.moved[BEGINNINGS - 1, :, :, place - z]
 
 
 def test_a_column_is_what_the_filter_changes_if_it_believes_the_cause(vehicle, table):

@@ -5,7 +5,7 @@ import pytest
 
 from testbed.config import SHIPPED, load
 from testbed.flight.effectiveness import resolve
-from testbed.flight.estimator import model_of
+from testbed.flight.fired import model_of
 from testbed.flight.memory import make_memory
 from testbed.flight.online import (
     OnlineParams,
