@@ -217,9 +217,9 @@ class JetFaultDetector:
         return self._if(bad_jet.is_weak, self.m.weak)
 
     @property
-    def finely_weak(self):
-        fine = self.m.fine.weak
-        return bad_jet.is_finely_weak(self.m), int(fine.jet), float(fine.share)
+    def weak_by_innovations(self):
+        fine = self.m.innovations.weak
+        return bad_jet.is_weak_by_innovations(self.m), int(fine.jet), float(fine.share)
 
     @property
     def either(self):

@@ -41,7 +41,7 @@ from testbed.core.types import (
 )
 from testbed.core.vehicle import Vehicle
 from testbed.flight import chain
-from testbed.flight.bad_jet import is_finely_weak, is_weak
+from testbed.flight.bad_jet import is_weak, is_weak_by_innovations
 from testbed.flight.barrier import Barrier
 from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
@@ -338,8 +338,8 @@ class Agent:
         if detector in CAUSES:
             kind = CAUSES[detector]
             found = verdict_of(m, self.memory.fixed[0].permanent, kind)
-            if detector == Detector.JET_MISSING and not is_weak(m) and is_finely_weak(m):
-                found = m.fine
+            if detector == Detector.JET_MISSING and not is_weak(m) and is_weak_by_innovations(m):
+                found = m.innovations
             return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)
         step = self.memory.fixed[0].estimator.step
         match detector:

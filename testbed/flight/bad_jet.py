@@ -10,9 +10,7 @@ from testbed.flight.hypotheses import CLEAR, LEAK, NUDGE, SURE, WEAK, beyond, ou
 
 ENOUGH = 0.2  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
-UNSURE = (
-    0.2  # the same beside a jet that is stuck open: it may be an error in the thrust of that one
-)
+UNSURE = 0.2  # the same beside a jet that is stuck open, whose thrust is not known exactly
 LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 UNLIKE = 0.6  # largest gain of a leak beside it, as a share
 PART = 0.15  # smallest missing share of thrust that is worth a warning
@@ -21,7 +19,7 @@ DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known bette
 # its file, however long it fires, and often less. So 4.3 sigma of the innovations are enough, if
 # they last; a healthy jet seldom has them, and not for long.
 LASTS = 20  # looks
-FINE_CLEAR = 1.0  # as CLEAR
+CLEARER = 1.0  # as CLEAR, by the innovations: their gains are tens to hundreds
 
 
 @compiled
@@ -55,19 +53,19 @@ def missing(m):
     """Sigmas of a jet that is too weak; the other windows have to be surer."""
     if is_weak(m):
         return sigmas(m.weak)
-    if is_finely_weak(m):
-        return sigmas(m.fine.weak)
+    if is_weak_by_innovations(m):
+        return sigmas(m.innovations.weak)
     sure = m.far.weak.gain > LONG_SURE and is_weak(m.far) and is_no_leak(m.far)
     return sigmas(m.far.weak) if sure else 0.0
 
 
 @compiled
-def is_finely_weak(m):
+def is_weak_by_innovations(m):
     """Whether the innovations name a weak jet: it explains more than any other cause or jet."""
-    weak, nudge = m.fine.weak, max(m.gains[NUDGE], m.far.gains[NUDGE])
-    other = max(beyond(m.fine.gains, WEAK), weak.next)
-    clear = weak.gain > other + FINE_CLEAR
-    large = weak.share > ENOUGH and (weak.gain > SURE or m.fine.held > LASTS)
+    weak, nudge = m.innovations.weak, max(m.gains[NUDGE], m.far.gains[NUDGE])
+    other = max(beyond(m.innovations.gains, WEAK), weak.next)
+    clear = weak.gain > other + CLEARER
+    large = weak.share > ENOUGH and (weak.gain > SURE or m.innovations.held > LASTS)
     return large and clear and weak.gain > nudge + CLEAR
 
 

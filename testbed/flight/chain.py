@@ -60,8 +60,8 @@ def see(vehicle, samples):
         taken = estimator.update(p.filter, model, m, memory.fired, memory.flown, sample, told.t)
         if taken and told.armed == 1:
             innovations.hear(
-                p.jets_known.fine, fixed.jet_faults.fine, memory.heard.fine, memory.flown, model,
-                fixed.thrust_scale, sample,
+                p.jets_known.innovations, fixed.jet_faults.innovations, memory.heard.innovations,
+                memory.flown, model, fixed.thrust_scale, sample,
             )  # fmt: skip
     estimator.predict(model, m, memory.fired, told.effect_at, told.t, row.state)
 
@@ -143,7 +143,8 @@ def reconfigure(p, memory, row, k):
     if others == 0 and may and reconfiguration.suffices(p.whole, force, torque):
         m.strength = min(1.0, force / p.whole.force)
         m.probed = j + 1 if reconfiguration.is_a_guess(m.jet_faults, detector) else 0
-        named[j], m.jet_faults.flies_open = t, int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
+        named[j] = t
+        m.jet_faults.flies_open = int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
         reconfiguration.restart(p.jets_known, m.jet_faults, memory.heard)

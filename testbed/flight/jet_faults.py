@@ -87,7 +87,7 @@ class Known(NamedTuple):
     long: int  # looks that are summed for the long window
     least: Array  # smallest size of each kind of cause that is a fault, see hypotheses.py
     pads: Array  # see hypotheses.pads_of, (2,)
-    fine: innovations.Known
+    innovations: innovations.Known
 
 
 MEMORY = record(
@@ -104,7 +104,7 @@ MEMORY = record(
     pulled=float,  # size of the pull of which the long window is sure [m/s^2]; 0: none
     flies_open=int,  # 1: a jet that is stuck open is compensated
     far=record(**VERDICT),  # of the long window
-    fine=innovations.MEMORY,
+    innovations=innovations.MEMORY,
     **VERDICT,  # of the short one
 )
 
@@ -122,7 +122,7 @@ class Heard(NamedTuple):
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
-    fine: innovation_sums.Sums
+    innovations: innovation_sums.Sums
     nudges: Nudges
 
 
@@ -160,7 +160,7 @@ def pause(p, m, heard):
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
     forget(m.far)
-    innovations.pause(m.fine)
+    innovations.pause(m.innovations)
     m.summed = 0
     heard.recent[:] = heard.sums[:] = 0.0
 
@@ -328,7 +328,7 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     hardest = HARDEST * np.array([push, turn])
     bent = max(BENT, math.radians(vehicle.tolerance.direction_deg))
     tolerances = tolerance[0], bent, max(INERTIA, vehicle.tolerance.inertia), tolerance[n]
-    fine = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
+    believes = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
     return Known(
         effect, vehicle.mass / vehicle.inertia, vehicle.air.droop,
         vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia, tolerance**-2.0,
@@ -337,5 +337,5 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
         period * hardest, period,
         ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
         max(1, round(STRETCH / period)),
-        least_of(vehicle, table, bumps), pads_of(vehicle), fine,
+        least_of(vehicle, table, bumps), pads_of(vehicle), believes,
     )  # fmt: skip

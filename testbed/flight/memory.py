@@ -103,9 +103,9 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
     duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
     near, far = Window(*parts[:6]), Window(*parts[6:12])
-    fine, nudges = innovation_sums.Sums(*parts[12:17]), Nudges(*parts[17:])
+    innovations, nudges = innovation_sums.Sums(*parts[12:17]), Nudges(*parts[17:])
     fired = Fired(*views[Fired])
-    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, fine, nudges)
+    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, innovations, nudges)
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
 from testbed.flight import innovations
-from testbed.flight.bad_jet import DOUBT, is_finely_weak, is_weak
+from testbed.flight.bad_jet import DOUBT, is_weak, is_weak_by_innovations
 from testbed.flight.effectiveness import SPREAD
 from testbed.flight.jet_faults import AGAIN, CALM, pause
 from testbed.flight.window import clear
@@ -109,8 +109,8 @@ def weak_of(suspected, detector):
     far = suspected.far.weak
     if detector == DOUBTFUL or is_weak(suspected):
         return suspected.weak
-    if is_finely_weak(suspected):
-        return suspected.fine.weak
+    if is_weak_by_innovations(suspected):
+        return suspected.innovations.weak
     return far if far.gain > 0.0 else suspected.weak
 
 
@@ -136,9 +136,9 @@ def is_a_guess(suspected, detector):
 
     While the jet opposite to one that is stuck open fires all the time, the two are the same.
     """
-    fine = suspected.fine
-    near = fine.leak.gain > (1.0 - DOUBT) * fine.weak.gain
-    guessed = detector not in (OPEN, LEAKS) and is_finely_weak(suspected) and near
+    found = suspected.innovations
+    near = found.leak.gain > (1.0 - DOUBT) * found.weak.gain
+    guessed = detector not in (OPEN, LEAKS) and is_weak_by_innovations(suspected) and near
     return detector == DOUBTFUL or guessed
 
 
@@ -173,7 +173,7 @@ def restart(p, m, heard):
     m.noted, m.stretches = 0, 0
     clear(heard.near)
     clear(heard.far)
-    innovations.restart(m.fine, heard.fine)
+    innovations.restart(m.innovations, heard.innovations)
     heard.nudges.near[:] = heard.nudges.far[:] = 0.0
     heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
     heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD

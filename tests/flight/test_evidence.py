@@ -86,7 +86,7 @@ def test_unequal_jets_in_a_hard_turn_are_not_suspected(seed, vehicle, table):
         body.tick(duty)
         assert body.evidence.weak.sigmas < BOUND
         assert body.evidence.either[0].sigmas < BOUND
-        assert not body.evidence.finely_weak[0]
+        assert not body.evidence.weak_by_innovations[0]
 
 
 @pytest.mark.parametrize("stuck", range(8))
@@ -125,13 +125,13 @@ def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle, table):
 )
 def test_the_innovations_name_a_jet_only_if_it_explains_most(changes, named, vehicle, table):
     evidence = JetFaultDetector(vehicle, PERIOD, PARAMS, table)
-    fine = evidence.m.fine
-    fine.weak.jet, fine.weak.share = 3, changes.get("share", 0.3)
-    fine.weak.gain = fine.gains[WEAK] = changes.get("gain", 40.0)
-    fine.held = changes.get("held", 0)
-    fine.weak.next, fine.gains[LEAK] = changes.get("next", 0.0), changes.get("leak", 0.0)
+    found = evidence.m.innovations
+    found.weak.jet, found.weak.share = 3, changes.get("share", 0.3)
+    found.weak.gain = found.gains[WEAK] = changes.get("gain", 40.0)
+    found.held = changes.get("held", 0)
+    found.weak.next, found.gains[LEAK] = changes.get("next", 0.0), changes.get("leak", 0.0)
     evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
-    assert evidence.finely_weak[0] == named
+    assert evidence.weak_by_innovations[0] == named
 
 
 @pytest.mark.parametrize("leaky", range(8))

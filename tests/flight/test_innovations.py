@@ -21,9 +21,9 @@ class Flown:
 
     def __init__(self, vehicle, table, seed=0, noise=0.0, believed=None):
         self.model, self.believed = model_of(vehicle), model_of(believed or vehicle)
-        self.p = known_of(vehicle, 0.1, EstimatorParams(), table).fine
+        self.p = known_of(vehicle, 0.1, EstimatorParams(), table).innovations
         memory, _ = make_memory(JETS, 4, 1, 1)
-        self.m, self.sums = memory.fixed[0].jet_faults.fine, memory.heard.fine
+        self.m, self.sums = memory.fixed[0].jet_faults.innovations, memory.heard.innovations
         self.flown, self.rng = memory.flown, np.random.default_rng(seed)
         self.noise = noise * np.sqrt(self.p.noise)[[0, 0, 1]]
         self.x, self.v, self.t = np.zeros(3), np.zeros(3), 0.0

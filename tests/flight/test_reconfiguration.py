@@ -121,9 +121,9 @@ def test_a_finding_changes_its_jet_only(vehicle, table, detector, share, gives, 
 def test_the_jet_that_the_innovations_name_is_the_one_that_changes(vehicle, table):
     memory = agent_of(vehicle, table, shipped_faults()).memory
     suspected, given = memory.fixed[0].jet_faults, memory.fired.gives
-    suspected.weak.jet, suspected.far.weak.jet, suspected.fine.weak.jet = 1, 2, 6
-    suspected.far.weak.gain, suspected.fine.weak.share = 5.0, 0.3
-    suspected.fine.weak.gain = 40.0
+    suspected.weak.jet, suspected.far.weak.jet, suspected.innovations.weak.jet = 1, 2, 6
+    suspected.far.weak.gain, suspected.innovations.weak.share = 5.0, 0.3
+    suspected.innovations.weak.gain = 40.0
     change(given, memory.fired.leaks, suspected, Detector.JET_MISSING.value)
     assert given[6] == pytest.approx(0.7)
     assert (np.delete(given, 6) == 1.0).all()
@@ -142,7 +142,7 @@ def test_a_weak_jet_is_a_guess_if_a_leak_is_nearly_as_likely(
     detector, leak, weak, guess, vehicle, table
 ):
     suspected = agent_of(vehicle, table, shipped_faults()).memory.fixed[0].jet_faults
-    fine = suspected.fine
+    fine = suspected.innovations
     fine.leak.gain = fine.gains[LEAK] = leak
     fine.weak.gain, fine.weak.share, fine.weak.jet = weak, 0.9, 3
     assert is_a_guess(suspected, detector.value) == guess
