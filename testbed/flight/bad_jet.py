@@ -18,7 +18,8 @@ DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known bette
 # A jet that was not used before its fault and lacks 30 % is 6 sigma of the tolerance (THRUST) from
 # its file, however long it fires, and often less. So 4.3 sigma of the innovations are enough, if
 # they last; a healthy jet seldom has them, and not for long.
-LASTS = 20  # looks
+LASTS = 6  # looks
+SIMILAR = 0.02  # as DOUBT, of a leak by the innovations
 CLEARER = 1.0  # as CLEAR, by the innovations: their gains are tens to hundreds
 
 
@@ -37,6 +38,27 @@ def leaks(m):
 
 
 @compiled
+def leaks_by_innovations(m):
+    """The same by the innovations, of a large leak."""
+    found, leak = m.innovations, m.innovations.leak
+    other = max(beyond(found.gains, LEAK), leak.next)
+    clear = leak.gain > SURE and leak.gain > other + CLEARER + SIMILAR * min(leak.gain, other)
+    return clear and leak.share > ENOUGH and found.leaks > 1 and leak.gain > nudge_of(m) + CLEAR
+
+
+@compiled
+def nudge_of(m):
+    """Gain of a nudge."""
+    return max(m.gains[NUDGE], m.far.gains[NUDGE])
+
+
+@compiled
+def leak_of(m):
+    """The leak that a window is sure of; its gain is 0 if none is."""
+    return m.innovations.leak if leaks_by_innovations(m) else m.leak
+
+
+@compiled
 def trace(m):
     """Smallest leak that is a fault, as a share of thrust."""
     return UNSURE if m.flies_open == 1 else TRACE
@@ -51,6 +73,8 @@ def is_weak(m):
 @compiled
 def missing(m):
     """Sigmas of a jet that is too weak; the other windows have to be surer."""
+    if leaks_by_innovations(m):
+        return 0.0
     if is_weak(m):
         return sigmas(m.weak)
     if is_weak_by_innovations(m):
@@ -61,12 +85,19 @@ def missing(m):
 
 @compiled
 def is_weak_by_innovations(m):
-    """Whether the innovations name a weak jet: it explains more than any other cause or jet."""
-    weak, nudge = m.innovations.weak, max(m.gains[NUDGE], m.far.gains[NUDGE])
-    other = max(beyond(m.innovations.gains, WEAK), weak.next)
-    clear = weak.gain > other + CLEARER
-    large = weak.share > ENOUGH and (weak.gain > SURE or m.innovations.held > LASTS)
-    return large and clear and weak.gain > nudge + CLEAR
+    """Whether the innovations name a weak jet: it explains more than any other cause or jet.
+
+    A leak of another jet may explain as much, see reconfiguration.is_a_guess.
+    """
+    weak, other = m.innovations.weak, m.innovations.weak.next
+    for kind in range(NUDGE):
+        if kind not in (WEAK, LEAK):
+            other = max(other, m.innovations.gains[kind])
+    leak = m.innovations.leak.gain
+    clear = weak.gain > max(other + CLEARER, leak - CLEARER)
+    fresh = weak.jet != m.probed - 1  # that one was named
+    large = fresh and weak.share > ENOUGH and (weak.gain > SURE or m.innovations.held > LASTS)
+    return large and clear and weak.gain > nudge_of(m) + CLEAR
 
 
 @compiled
@@ -99,6 +130,8 @@ def leaks_or_is_weak(m):
     No jet is in doubt while the long window is sure of a pull: once the short window has forgotten
     when the pull began, a leak explains it nearly as well.
     """
+    if leaks_by_innovations(m):
+        return False
     other = beyond(m.gains, LEAK)
     may = (
         m.pulled == 0.0

@@ -105,6 +105,7 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
         )  # fmt: skip
         if p.online.each_jet:
             online.follow_jets(memory.fired, memory.heard, p.gains.period)
+        reconfiguration.end_probe(m.jet_faults, memory.heard, memory.fired, memory.named, told.t)
     finite = gate.is_number(demanded)
     detectors.measure(
         p.sensors, m.detectors, m.estimator, p.jets_known, m.jet_faults, m.permanent, row, samples,
@@ -126,28 +127,28 @@ def reconfigure(p, memory, row, k):
     the vehicle flies on if the fault table says so of a valve stuck open.
     """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
-    named, t = memory.named, row.told.t
-    j, doubted = reconfiguration.culprit(m.jet_faults, detector), m.probed - 1
-    back = doubted >= 0 and doubted != j and t - named[doubted] < reconfiguration.PROBE_S
+    suspected, named, t = m.jet_faults, memory.named, row.told.t
+    found, doubted = reconfiguration.suspicion_of(suspected, detector), suspected.probed - 1
+    back = doubted >= 0 and doubted != found.jet
     if back:  # it was not that one
         fired.gives[doubted], named[doubted] = 1.0, 0.0
     gives, leaks, may = fired.gives.copy(), fired.leaks.copy(), True
     if back and detector == reconfiguration.DOUBTFUL:
         detector, may = reconfiguration.OPEN, reconfiguration.flies_with_a_leak(p.rows)
-        j = reconfiguration.culprit(m.jet_faults, detector)
-    others = 0
+        found = reconfiguration.suspicion_of(suspected, detector)
+    j, others = found.jet, 0
     for i in range(named.shape[0]):
         others += named[i] > 0.0 and i != j
-    reconfiguration.change(fired.gives, fired.leaks, m.jet_faults, detector)
+    guess = reconfiguration.is_a_guess(suspected, detector)
+    reconfiguration.change(fired.gives, fired.leaks, found, detector)
     force, torque = reconfiguration.room(p.jets.effect, fired.gives, fired.leaks)
     if others == 0 and may and reconfiguration.suffices(p.whole, force, torque):
         m.strength = min(1.0, force / p.whole.force)
-        m.probed = j + 1 if reconfiguration.is_a_guess(m.jet_faults, detector) else 0
-        named[j] = t
-        m.jet_faults.flies_open = int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
+        suspected.probed, named[j] = (j + 1 if guess else 0), t
+        suspected.flies_open = int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
-        reconfiguration.restart(p.jets_known, m.jet_faults, memory.heard)
+        reconfiguration.restart(p.jets_known, suspected, memory.heard, fired)
         permanent.restart(m.permanent, memory.permanent)
         return
     fired.gives[:], fired.leaks[:] = gives, leaks

@@ -118,7 +118,8 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
     for k in range(neighbours.shape[0]):
         if told.t - neighbours[k, 5] > oldest:
             oldest, done.oldest = told.t - neighbours[k, 5], k
-    leaks = bad_jet.leaks(suspected)
+    leaks = bad_jet.leaks(suspected) or bad_jet.leaks_by_innovations(suspected)
+    leak = bad_jet.leak_of(suspected)
     either = bad_jet.leaks_or_is_weak(suspected)
     done.leak = bad_jet.sigmas(suspected.leak) if either else 0.0
     repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
@@ -135,8 +136,8 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
         tank_loss(p, m, told.t, told.tank_pressure),
         told.battery,
         told.silent_s,
-        suspected.leak.share if leaks else 0.0,
-        bad_jet.sigmas(suspected.leak) if leaks else 0.0,
+        leak.share if leaks else 0.0,
+        bad_jet.sigmas(leak) if leaks else 0.0,
         done.leak,
         bad_jet.missing(suspected),
         spare,

@@ -95,7 +95,7 @@ def predict_mean(x, fired, model, start, end, flown):
     """Advance (x, y, theta, vx, vy, omega, bx, by, balpha) in place from `start` to `end`.
 
     `flown` is advanced, too: the impulse of each jet, in times of its whole thrust [s], and its
-    integral [s^2], (2, n).
+    integral [s^2], (2, n), if it does what is commanded.
     """
     steps = int(np.ceil((end - start) / SUB_STEP - 1e-9))
     memory = np.empty(model.effect.shape[1])

@@ -83,7 +83,8 @@ def mean_wrench(fired, model, flow, start, end):
     Args:
         fired: the last plans.
         model: of the vehicle.
-        flow: written; for how long each jet flowed, in times of its whole thrust, (n,) [s].
+        flow: written; for how long each jet flowed, if it does what is commanded, in times of its
+            whole thrust, (n,) [s].
         start: [s].
         end: [s].
     """
@@ -104,13 +105,13 @@ def mean_wrench(fired, model, flow, start, end):
                     flow[j] -= open_time(up - held, up, model.valve, start, end)
     span = end - start
     for j in range(jets):
-        flow[j] = fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
-        open_jets += flow[j]
+        open_jets += fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
     share = 1.0 / (1.0 + model.droop * max(0.0, open_jets / span - 1.0))
     fx = fy = tau = 0.0
     for j in range(jets):
+        level = fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
+        level *= share / span
         flow[j] *= share
-        level = flow[j] / span
         fx += model.effect[0, j] * level
         fy += model.effect[1, j] * level
         tau += model.effect[2, j] * level

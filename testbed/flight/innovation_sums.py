@@ -15,7 +15,7 @@ from testbed.flight.window import factor, forget, suspect, suspect_jets, width_o
 
 Array = NDArray[np.float64]
 
-RECENT = 5  # beginnings that are tested one after the other
+RECENT = 10  # beginnings that are tested one after the other
 BEGINNINGS = RECENT + 9
 BELIEVED = 30.0  # weight of the files' noise at the start [looks]
 LIKELY = 9.2  # gain that counts if it lasts: 4.3 sigma
@@ -25,6 +25,8 @@ WEIGHED = 2  # looks from one verdict to the next
 class Sums(NamedTuple):
     """Sums over time, changed in place."""
 
+    gives: Array  # what each jet gives of its commands, as the filter believes, (n,)
+    leaks: Array  # and without one, (n,)
     ways: Array  # of each jet, over the poses of this look: integral of its impulse, (n,) [s^2]
     sure: Array  # what an uncertain parameter changes in x of each axis, (3, 3, m)
     moved: Array  # the same of causes, by beginning, (BEGINNINGS, 3, 3, count)
@@ -36,7 +38,7 @@ def shapes_of(jets: int) -> list[tuple[int, ...]]:
     """Shapes of `Sums`."""
     m, count = 2 * jets + 3, width_of(jets)
     return [
-        (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m, m + 1), (BEGINNINGS, m + 2, count),
+        (jets,), (jets,), (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m, m + 1), (BEGINNINGS, m + 2, count),
     ]  # fmt: skip
 
 
@@ -133,7 +135,7 @@ def age(p, m, sums):
 def weigh(p, m, sums):
     """Write what the innovations say to `m`, a record of VERDICT."""
     z, columns = sums.told.shape[0], sums.blocks.shape[2]
-    n, before = (z - 3) // 2, m.weak.jet
+    n, weak, leak = (z - 3) // 2, m.weak.jet, m.leak.jet
     forget(m)
     sure = 1.0 / max(1.0, m.noise)
     root = factor(sure * sums.told, p.sure, p.sure[z - 1])
@@ -151,8 +153,9 @@ def weigh(p, m, sums):
         gain = max(m.leak.gain, m.weak.gain, m.gains.max())
         if gain > most:
             most, m.began = gain, b
-    likely = m.weak.gain > LIKELY and m.weak.jet == before
+    likely = m.weak.gain > LIKELY and m.weak.jet == weak
     m.held = m.held + WEIGHED if likely else 0
+    m.leaks = m.leaks + 1 if m.leak.gain > LIKELY and m.leak.jet == leak else 0
     m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share
     m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
     left = max(0.0, sure * m.squares - (y * y).sum() - 2.0 * most) / sure

@@ -30,7 +30,7 @@ from testbed.flight.window import VERDICT, forget
 Array = NDArray[np.float64]
 
 LOOK = 0.1  # innovations are of the mean pose of so long [s]
-NEXT_S = 0.3  # from one beginning to the next [s]
+NEXT_S = 0.1  # from one beginning to the next [s]
 MEMORY_S = 60.0  # time constant of forgetting [s]
 GAP = 1.0  # after this time without poses the filter begins anew [s]
 SLOPE = 0.02  # at the start, one sigma [m/s^2]
@@ -39,7 +39,7 @@ UNKNOWN = 0.2  # speed at the start, one sigma [m/s, rad/s]
 WANDER = 1e-4  # unexplained acceleration, random walk [m/s^2 / sqrt(s)]
 SPIN_WANDER = 1e-4  # [rad/s^2 / sqrt(s)]
 CELL = 1.0  # the slope changes by the table's variation over this way [m, assumed]
-FAR = 6.0  # sigmas: an innovation so much larger than the jets' push does not count
+FAR = 6.0  # sigmas: an innovation that changes by so much more than jets can push does not count
 
 
 class Known(NamedTuple):
@@ -68,10 +68,12 @@ MEMORY = record(
     looks=int,
     x=(3, 3),  # x, y, heading: position, velocity, unexplained acceleration
     cov=(3, 3, 3),  # of these
+    before=(3,),  # innovation of the last look
     heard=float,  # innovations, as far as they are not forgotten
     squares=float,  # of them, in variances by the files
     began=int,  # beginning of the cause that explains most
     held=int,  # looks for which the same weak jet has been likelier than LIKELY
+    leaks=int,  # verdicts for which the same leak has been
     noise=float,  # what the best cause leaves of these, each
     **VERDICT,
 )
@@ -118,6 +120,7 @@ def begin(p, m, sums, flown, sample):
         m.cov[axis] = 0.0
         m.cov[axis, 0, 0], m.cov[axis, 1, 1] = p.noise[axis // 2], UNKNOWN * UNKNOWN
         m.cov[axis, 2, 2] = slope
+        m.before[axis] = 0.0
         sums.sure[axis, 0:2] = 0.0
         sums.moved[:, axis, 0:2] = 0.0
     begin_look(m, sums, flown)
@@ -134,7 +137,7 @@ def begin_look(m, sums, flown):
 @compiled
 def pause(m):
     """Begin anew at the next pose: the last ones were not trusted."""
-    m.begun = m.held = 0
+    m.begun = m.held = m.leaks = 0
     forget(m)
 
 
@@ -155,7 +158,12 @@ def look(p, m, sums, flown, model, thrust_scale):
     memory = np.zeros((3, 3, columns)), np.empty((3, n)), np.empty((2, columns))
     acts, gone, x = borrowed(memory)
     gone[0], gone[1], gone[2] = flown[0], flown[1], sums.ways / m.poses
-    push = effects(p, m, model, thrust_scale, gone, (span, 0.5 * span * span, two), acts)
+    whole = span, 0.5 * span * span, two
+    for kind in range(3):
+        for j in range(n):
+            shut = whole[kind] - gone[kind, j]
+            gone[kind, j] = sums.gives[j] * gone[kind, j] + sums.leaks[j] * shut
+    push = effects(p, m, model, thrust_scale, gone, whole, acts)
     m.looks += 1
     age(p, m, sums)
     speed = np.hypot(m.x[0, 1], m.x[1, 1])
@@ -172,7 +180,9 @@ def look(p, m, sums, flown, model, thrust_scale):
         gain, variance = gain_of(cov, sees, p.noise[axis // 2] / m.poses + shaken[1])
         mean = m.seen[axis] / m.poses + (m.heading if axis == 2 else 0.0)
         error = mean - (state[0] + sees[0] * state[1] + sees[1] * state[2] + push[2, axis])
-        outside = abs(error) > p.hardest[axis // 2] * span * span + FAR * np.sqrt(variance)
+        most = p.hardest[axis // 2] * span * span + FAR * np.sqrt(variance)
+        outside = min(abs(error), abs(error - m.before[axis])) > most
+        m.before[axis] = error
         weight = 1.0 / variance
         if outside:
             weight, gain = 0.0, (0.0, 0.0, 0.0)

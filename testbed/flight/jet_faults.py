@@ -103,6 +103,7 @@ MEMORY = record(
     began=int,  # block of the long window in which its best cause began
     pulled=float,  # size of the pull of which the long window is sure [m/s^2]; 0: none
     flies_open=int,  # 1: a jet that is stuck open is compensated
+    probed=int,  # the jet that is compensated on a doubt, from 1; 0: none
     far=record(**VERDICT),  # of the long window
     innovations=innovations.MEMORY,
     **VERDICT,  # of the short one
@@ -157,10 +158,16 @@ def look(p, m, heard, state, duty, thrust_scale):
 @compiled
 def pause(p, m, heard):
     """Ignore looks with untrusted poses, until the estimator has settled."""
+    innovations.pause(m.innovations)
+    pause_windows(p, m, heard)
+
+
+@compiled
+def pause_windows(p, m, heard):
+    """The same, but the innovations, which do not hear the estimator."""
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
     forget(m.far)
-    innovations.pause(m.innovations)
     m.summed = 0
     heard.recent[:] = heard.sums[:] = 0.0
 
@@ -327,7 +334,7 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     slope, bumps = slopes(table.tilt)
     hardest = HARDEST * np.array([push, turn])
     bent = max(BENT, math.radians(vehicle.tolerance.direction_deg))
-    tolerances = tolerance[0], bent, max(INERTIA, vehicle.tolerance.inertia), tolerance[n]
+    tolerances = max(0.02, vehicle.tolerance.thrust), bent, max(INERTIA, vehicle.tolerance.inertia), tolerance[n]
     believes = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
     return Known(
         effect, vehicle.mass / vehicle.inertia, vehicle.air.droop,

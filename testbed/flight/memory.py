@@ -41,7 +41,6 @@ FIXED = record(
     gate=gate.MEMORY,
     seq=int,  # number of the last plan
     thrust_scale=float,  # of that plan
-    probed=int,  # the jet last compensated on a doubt, from 1; 0: none
     strength=float,  # weakest force of the jets left, as a share of all jets'
     gas_used=float,  # see online.py [kg]
 )
@@ -103,13 +102,14 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
     duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
     near, far = Window(*parts[:6]), Window(*parts[6:12])
-    innovations, nudges = innovation_sums.Sums(*parts[12:17]), Nudges(*parts[17:])
+    innovations, nudges = innovation_sums.Sums(*parts[12:19]), Nudges(*parts[19:])
     fired = Fired(*views[Fired])
     heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, innovations, nudges)
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
+    innovations.gives[:] = 1.0
     begun, flown, flowed, times, *always, named = views[Memory]
     memory = Memory(
         fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, flown,

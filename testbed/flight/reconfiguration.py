@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
 from testbed.flight import innovations
-from testbed.flight.bad_jet import DOUBT, is_weak, is_weak_by_innovations
+from testbed.flight.bad_jet import DOUBT, is_weak, is_weak_by_innovations, leak_of
 from testbed.flight.effectiveness import SPREAD
-from testbed.flight.jet_faults import AGAIN, CALM, pause
+from testbed.flight.jet_faults import AGAIN, CALM, pause_windows
 from testbed.flight.window import clear
 
 LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does not fly on
@@ -89,8 +89,8 @@ def whole_of(effect: NDArray[np.float64], slope: float) -> Whole:
 
 
 @compiled
-def culprit(suspected, detector):
-    """The jet that a detector names.
+def suspicion_of(suspected, detector):
+    """The suspicion that a detector names, see window.SUSPICION.
 
     If one jet may leak or the other may be weak, the weak one is believed: a leak shows clearly as
     soon as the other jet is no longer commanded.
@@ -100,7 +100,7 @@ def culprit(suspected, detector):
         detector: codes.Detector, one of the jets'.
     """
     of_leaks = detector in (OPEN, LEAKS)
-    return suspected.leak.jet if of_leaks else weak_of(suspected, detector).jet
+    return leak_of(suspected) if of_leaks else weak_of(suspected, detector)
 
 
 @compiled
@@ -115,16 +115,16 @@ def weak_of(suspected, detector):
 
 
 @compiled
-def change(gives, leaks, suspected, detector):
-    """Write to `gives` and `leaks`, see `room`, what a detector has found."""
-    j = culprit(suspected, detector)
+def change(gives, leaks, found, detector):
+    """Write to `gives` and `leaks`, see `room`, what a detector has found: a suspicion."""
+    j = found.jet
     if detector not in (OPEN, LEAKS):
-        left = 1.0 - min(1.0, weak_of(suspected, detector).share)
+        left = 1.0 - min(1.0, found.share)
         gives[j], leaks[j] = gives[j] * left, leaks[j] * left
         if gives[j] < SHUT:
             gives[j] = leaks[j] = 0.0
         return
-    leaks[j] = min(1.0, leaks[j] + suspected.leak.share)
+    leaks[j] = min(1.0, leaks[j] + found.share)
     if leaks[j] > WIDE_OPEN:
         leaks[j] = 1.0
     gives[j] = max(gives[j], leaks[j])
@@ -160,23 +160,43 @@ def suffices(whole, force, torque):
 
 
 @compiled
-def restart(p, m, heard):
+def restart(p, m, heard, fired):
     """Let the detector begin anew: what it heard is explained, and the jets are other ones now.
+
+    While a jet is probed, the innovations go on with the jets as they were: what they heard of the
+    doubt still counts.
 
     Args:
         p: jet_faults.Known.
         m: jet_faults.MEMORY, changed in place.
         heard: jet_faults.Heard.
+        fired: fired.Fired.
     """
-    pause(p, m, heard)
+    pause_windows(p, m, heard)
+    if m.probed == 0:
+        believe(m, heard, fired)
     m.counted, m.again = max(0, m.counted - 2 * CALM), AGAIN
     m.noted, m.stretches = 0, 0
     clear(heard.near)
     clear(heard.far)
-    innovations.restart(m.innovations, heard.innovations)
     heard.nudges.near[:] = heard.nudges.far[:] = 0.0
     heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
     heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD
+
+
+@compiled
+def believe(m, heard, fired):
+    """Let the innovations begin anew, with the jets as they are now; see `restart`."""
+    innovations.restart(m.innovations, heard.innovations)
+    heard.innovations.gives[:], heard.innovations.leaks[:] = fired.gives, fired.leaks
+
+
+@compiled
+def end_probe(m, heard, fired, named, t):
+    """Trust a jet that was probed for long enough; `m` is jet_faults.MEMORY."""
+    if m.probed > 0 and t - named[m.probed - 1] > PROBE_S:
+        m.probed = 0
+        believe(m, heard, fired)
 
 
 @compiled
