@@ -38,7 +38,8 @@ def shapes_of(jets: int) -> list[tuple[int, ...]]:
     """Shapes of `Sums`."""
     m, count = 2 * jets + 3, width_of(jets)
     return [
-        (jets,), (jets,), (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m, m + 1), (BEGINNINGS, m + 2, count),
+        (jets,), (jets,), (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m, m + 1),
+        (BEGINNINGS, m + 2, count),
     ]  # fmt: skip
 
 

@@ -54,6 +54,7 @@ SHOWN = 10  # looks from one effectiveness to the next
 CALM = 30  # looks; a fault is named within them
 AGAIN = 200  # looks that the mean of unexplained acceleration has had before a restart
 THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
+FILED = 0.02  # the same by the innovations, which believe the file's tolerance
 BENT = math.radians(1.0)  # of its direction
 INERTIA = 0.05  # of the moment of inertia, relative
 BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
@@ -334,7 +335,8 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     slope, bumps = slopes(table.tilt)
     hardest = HARDEST * np.array([push, turn])
     bent = max(BENT, math.radians(vehicle.tolerance.direction_deg))
-    tolerances = max(0.02, vehicle.tolerance.thrust), bent, max(INERTIA, vehicle.tolerance.inertia), tolerance[n]
+    thrust, inertia = vehicle.tolerance.thrust, vehicle.tolerance.inertia
+    tolerances = max(FILED, thrust), bent, max(INERTIA, inertia), tolerance[n]
     believes = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
     return Known(
         effect, vehicle.mass / vehicle.inertia, vehicle.air.droop,

@@ -9,8 +9,9 @@ from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight import bad_jet, jet_faults
+from testbed.flight.bad_jet import LASTS
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import LEAK, NUDGE, PULL, WEAK
+from testbed.flight.hypotheses import LATE, LEAK, NUDGE, PULL, WEAK
 from testbed.flight.jet_faults import BUMPS, SLOPE, slopes
 from testbed.flight.response import response
 
@@ -114,13 +115,16 @@ def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle, table):
         ({}, True),
         ({"gain": 12.4}, False),
         ({"gain": 12.6}, True),
-        ({"gain": 9.6, "held": 20}, False),
-        ({"gain": 9.6, "held": 22}, True),  # it lasts
+        ({"gain": 9.6, "held": LASTS}, False),
+        ({"gain": 9.6, "held": LASTS + 2}, True),
         ({"share": 0.19}, False),
         ({"next": 39.5}, False),  # another jet
-        ({"leak": 39.5}, False),
-        ({"leak": 38.5}, True),
+        ({"late": 39.5}, False),
+        ({"leak": 40.5}, True),  # of the opposite jet: a guess, see test_reconfiguration
+        ({"leak": 41.5}, False),
         ({"nudge": 38.0}, False),
+        ({"probed": 4}, False),  # it is flown around already
+        ({"probed": 3}, True),
     ],
 )
 def test_the_innovations_name_a_jet_only_if_it_explains_most(changes, named, vehicle, table):
@@ -129,9 +133,39 @@ def test_the_innovations_name_a_jet_only_if_it_explains_most(changes, named, veh
     found.weak.jet, found.weak.share = 3, changes.get("share", 0.3)
     found.weak.gain = found.gains[WEAK] = changes.get("gain", 40.0)
     found.held = changes.get("held", 0)
-    found.weak.next, found.gains[LEAK] = changes.get("next", 0.0), changes.get("leak", 0.0)
+    found.leak.gain = found.gains[LEAK] = changes.get("leak", 0.0)
+    found.weak.next, found.gains[LATE] = changes.get("next", 0.0), changes.get("late", 0.0)
+    evidence.m.probed = changes.get("probed", 0)
     evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
     assert evidence.weak_by_innovations[0] == named
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({}, True),
+        ({"gain": 12.4}, False),
+        ({"share": 0.19}, False),  # by the windows of looks, which take longer
+        ({"leaks": 1}, False),  # only once
+        ({"next": 39.5}, False),  # another jet
+        ({"weak": 38.5}, False),  # the opposite one is nearly as likely
+        ({"weak": 37.5}, True),
+        ({"nudge": 38.0}, False),
+    ],
+)
+def test_the_innovations_name_a_leak_that_is_large_and_clear(changes, named, vehicle, table):
+    evidence = JetFaultDetector(vehicle, PERIOD, PARAMS, table)
+    found = evidence.m.innovations
+    found.leak.jet, found.leak.share = 3, changes.get("share", 0.9)
+    found.leak.gain = found.gains[LEAK] = changes.get("gain", 40.0)
+    found.leak.next, found.leaks = changes.get("next", 0.0), changes.get("leaks", 2)
+    found.weak.gain = found.gains[WEAK] = changes.get("weak", 0.0)
+    evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
+    evidence.m.weak.gain, evidence.m.weak.share = 100.0, 1.0
+    evidence.m.gains[WEAK] = 100.0
+    assert bad_jet.leaks_by_innovations(evidence.m) == named
+    assert (bad_jet.missing(evidence.m) == 0.0) == named  # the opposite jet is not to blame
+    assert bad_jet.leak_of(evidence.m).jet == (3 if named else 0)
 
 
 @pytest.mark.parametrize("leaky", range(8))

@@ -27,7 +27,7 @@ class Flown:
         self.flown, self.rng = memory.flown, np.random.default_rng(seed)
         self.noise = noise * np.sqrt(self.p.noise)[[0, 0, 1]]
         self.x, self.v, self.t = np.zeros(3), np.zeros(3), 0.0
-        self.gives, self.push = np.ones(JETS), np.zeros(3)
+        self.gives, self.leaks, self.push = np.ones(JETS), np.zeros(JETS), np.zeros(3)
         self.fly(np.zeros((1, JETS)))  # the first pose; every ten more are a look
 
     def fly(self, duties, steps=10):
@@ -36,7 +36,7 @@ class Flown:
             h = FRAME / steps
             for _ in range(steps):
                 c, s = np.cos(self.x[2]), np.sin(self.x[2])
-                fx, fy, torque = self.model.effect @ (self.gives * duty)
+                fx, fy, torque = self.model.effect @ (self.gives * duty + self.leaks * (1.0 - duty))
                 a = np.array((c * fx - s * fy, s * fx + c * fy, 0.0)) / self.model.mass
                 a[2] = torque / self.model.inertia
                 drag = np.array((self.model.drag, self.model.drag, self.model.spin_drag))
@@ -203,3 +203,29 @@ def test_a_weak_jet_has_been_likely_for_as_long_as_it_explains_enough(vehicle, t
     assert 0 < first < int(flown.m.held) == first + 20  # looks
     innovations.pause(flown.m)
     assert flown.m.held == 0
+
+
+@pytest.mark.parametrize("jet", range(0, JETS, 3))
+def test_the_whole_thrust_of_an_open_jet_is_heard_to_its_size(jet, vehicle, table):
+    """The filter lags behind such a push by more than jets can push within a look."""
+    rng = np.random.default_rng(jet)
+    flown = Flown(vehicle, table, jet, noise=1.0)
+    flown.fly(some(rng, 1000))
+    heard = float(flown.m.heard)
+    flown.leaks[jet] = 1.0
+    flown.fly(np.zeros((100, JETS)))
+    assert flown.m.leak.jet == jet
+    assert flown.m.leak.share == pytest.approx(1.0, abs=0.1)
+    heard *= 1.0 - 1.0 / innovations.MEMORY_S  # a second later
+    assert flown.m.heard == pytest.approx(heard + 30.0, abs=2.0)  # ten looks, three axes
+    assert flown.m.leaks > 1
+
+
+def test_a_jet_whose_leak_the_filter_knows_leaves_white_innovations(vehicle, table):
+    flown = Flown(vehicle, table, 1, noise=1.0)
+    flown.gives[1], flown.sums.gives[1] = 0.7, 0.7
+    flown.leaks[2] = flown.sums.leaks[2] = 0.4
+    rng = np.random.default_rng(1)
+    flown.fly(some(rng, 6000))
+    assert flown.m.squares / flown.m.heard == pytest.approx(1.0, abs=0.1)
+    assert max(flown.m.gains) < 9.0

@@ -22,12 +22,15 @@ from testbed.flight.hypotheses import LEAK
 from testbed.flight.modulation import SigmaDeltaParams
 from testbed.flight.reconfiguration import (
     LEAST,
+    PROBE_S,
     change,
-    culprit,
+    end_probe,
     flies_with_a_leak,
     is_a_guess,
+    restart,
     room,
     suffices,
+    suspicion_of,
     whole_of,
 )
 from testbed.metrics.run_metrics import weakest_jet, with_jets
@@ -110,8 +113,9 @@ def test_a_finding_changes_its_jet_only(vehicle, table, detector, share, gives, 
     suspected, given, leaked = memory.fixed[0].jet_faults, memory.fired.gives, memory.fired.leaks
     suspected.weak.jet = suspected.leak.jet = 5
     suspected.weak.share = suspected.leak.share = share
-    assert culprit(suspected, detector.value) == 5
-    change(given, leaked, suspected, detector.value)
+    found = suspicion_of(suspected, detector.value)
+    assert found.jet == 5
+    change(given, leaked, found, detector.value)
     assert given[5] == pytest.approx(gives)
     assert leaked[5] == pytest.approx(leaks)
     assert (np.delete(given, 5) == 1.0).all()
@@ -124,7 +128,8 @@ def test_the_jet_that_the_innovations_name_is_the_one_that_changes(vehicle, tabl
     suspected.weak.jet, suspected.far.weak.jet, suspected.innovations.weak.jet = 1, 2, 6
     suspected.far.weak.gain, suspected.innovations.weak.share = 5.0, 0.3
     suspected.innovations.weak.gain = 40.0
-    change(given, memory.fired.leaks, suspected, Detector.JET_MISSING.value)
+    missing = Detector.JET_MISSING.value
+    change(given, memory.fired.leaks, suspicion_of(suspected, missing), missing)
     assert given[6] == pytest.approx(0.7)
     assert (np.delete(given, 6) == 1.0).all()
 
@@ -306,3 +311,33 @@ def test_words_say_how_a_jet_is_flown():
     assert JetHealth(0.0, 0.3, 0.0, 0.0, 4.0).words == "taken out since 4.0 s"
     assert JetHealth(0.7, 0.1, 0.7, 0.0, 4.0).words == "flown at 70% since 4.0 s"
     assert "compensated since 4.0 s" in JetHealth(1.0, 0.1, 1.0, 1.0, 4.0).words
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case("spot_red", "open", 0, 61),  # the opposite jet is probed first, and taken back
+        Case("freeflyer", "open", 4, 61),
+        Case("freeflyer", "weak", 4, 61),  # a leak of the opposite jet explained as much
+    ],
+)
+def test_a_jet_that_was_in_doubt_is_named_after_all(case):
+    experiment, at_s = experiment_of(case)
+    rig = make_twin(replace(experiment, duration_s=at_s + 6.0))
+    ending = rig.fly(NullObserver())
+    assert ending.fault is None
+    assert [k for k, one in enumerate(rig.jets("sat1")) if one.words] == [case.jet]
+
+
+def test_a_probe_keeps_what_the_innovations_heard_and_ends(vehicle, table):
+    agent = agent_of(vehicle, table, shipped_faults())
+    memory, p = agent.memory, agent.params
+    m, heard = memory.fixed[0].jet_faults, memory.heard
+    m.innovations.heard, m.probed, memory.fired.gives[4] = 90.0, 5, 0.7
+    memory.named[4] = 20.0
+    restart(p.jets_known, m, heard, memory.fired)
+    assert (m.innovations.heard, heard.innovations.gives[4]) == (90.0, 1.0)
+    end_probe(m, heard, memory.fired, memory.named, 20.0 + PROBE_S)
+    assert m.probed == 5
+    end_probe(m, heard, memory.fired, memory.named, 20.1 + PROBE_S)
+    assert (m.probed, m.innovations.heard, heard.innovations.gives[4]) == (0, 0.0, 0.7)
