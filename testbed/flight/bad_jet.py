@@ -17,9 +17,10 @@ PART = 0.15  # smallest missing share of thrust that is worth a warning
 DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 # A jet that was not used before its fault and lacks 30 % is 6 sigma of the tolerance (THRUST) from
 # its file, however long it fires, and often less. So 4.3 sigma of the innovations are enough, if
-# they last; a healthy jet seldom has them, and not for long.
-LASTS = 6  # looks
-SIMILAR = 0.02  # as DOUBT, of a leak by the innovations
+# they last for so many looks in which it fires. One pulse is not enough for 5 sigma, either: if its
+# plan was lost on the radio, it lacks all of its thrust.
+LASTS, AGAIN = 3, 1
+SIMILAR = 0.07  # as DOUBT, of a leak by the innovations
 CLEARER = 1.0  # as CLEAR, by the innovations: their gains are tens to hundreds
 
 
@@ -75,7 +76,7 @@ def missing(m):
     """Sigmas of a jet that is too weak; the other windows have to be surer."""
     if leaks_by_innovations(m):
         return 0.0
-    if is_weak(m):
+    if is_weak(m) and m.weak.gain > SURE:
         return sigmas(m.weak)
     if is_weak_by_innovations(m):
         return sigmas(m.innovations.weak)
@@ -96,7 +97,8 @@ def is_weak_by_innovations(m):
     leak = m.innovations.leak.gain
     clear = weak.gain > max(other + CLEARER, leak - CLEARER)
     fresh = weak.jet != m.probed - 1  # that one was named
-    large = fresh and weak.share > ENOUGH and (weak.gain > SURE or m.innovations.held > LASTS)
+    held = m.innovations.held
+    large = fresh and weak.share > ENOUGH and held > (AGAIN if weak.gain > SURE else LASTS)
     return large and clear and weak.gain > nudge_of(m) + CLEAR
 
 

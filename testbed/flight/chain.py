@@ -105,7 +105,9 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
         )  # fmt: skip
         if p.online.each_jet:
             online.follow_jets(memory.fired, memory.heard, p.gains.period)
-        reconfiguration.end_probe(m.jet_faults, memory.heard, memory.fired, memory.named, told.t)
+        reconfiguration.end_probe(
+            p.jets_known, m.jet_faults, memory.heard, memory.fired, memory.named, told.t
+        )
     finite = gate.is_number(demanded)
     detectors.measure(
         p.sensors, m.detectors, m.estimator, p.jets_known, m.jet_faults, m.permanent, row, samples,

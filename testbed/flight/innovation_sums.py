@@ -1,4 +1,13 @@
-"""The sums of a regression of innovations on the causes, and what they say; see `innovations`.
+"""The regression of innovations on the causes, and what it says; see `innovations`.
+
+An innovation is e = g'z + x b + noise, with the uncertain parameters z and the size b of one cause.
+The best z is learned in passing, one innovation after the other (recursive least squares). A cause
+would change it, by r for a size of 1, so what it leaves unexplained for z is x - g'r. With s the
+variance of e - g'z, each cause has its own sums
+
+    N = sum of (x - g'r)^2 / s         S = sum of (x - g'r) (e - g'z) / s
+
+as in the first lines of `jet_faults`, without its L: z is already taken out.
 
 A cause may begin at any time. The last RECENT of such times are tested, older ones at distances
 that double into the past, and the start.
@@ -11,15 +20,15 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import borrowed, compiled, keep
 from testbed.flight.hypotheses import LEAK, WEAK, score
-from testbed.flight.window import factor, forget, suspect, suspect_jets, width_of
+from testbed.flight.window import forget, suspect_jets, width_of
 
 Array = NDArray[np.float64]
 
 RECENT = 10  # beginnings that are tested one after the other
-BEGINNINGS = RECENT + 9
+BEGINNINGS = RECENT + 8
 BELIEVED = 30.0  # weight of the files' noise at the start [looks]
 LIKELY = 9.2  # gain that counts if it lasts: 4.3 sigma
-WEIGHED = 2  # looks from one verdict to the next
+FORGETS = 10  # looks from one forgetting to the next
 
 
 class Sums(NamedTuple):
@@ -30,58 +39,146 @@ class Sums(NamedTuple):
     ways: Array  # of each jet, over the poses of this look: integral of its impulse, (n,) [s^2]
     sure: Array  # what an uncertain parameter changes in x of each axis, (3, 3, m)
     moved: Array  # the same of causes, by beginning, (BEGINNINGS, 3, 3, count)
-    told: Array  # z'z, and z'e as the last column, (m, m + 1)
-    blocks: Array  # x'z, x'x, x'e of causes, by beginning, (BEGINNINGS, m + 2, count)
+    z: Array  # uncertain parameters, (m,)
+    cov: Array  # their covariance, (m, m)
+    changed: Array  # r of causes, by beginning, (BEGINNINGS, m, count)
+    told: Array  # N and S of causes, by beginning, (BEGINNINGS, 2, count)
 
 
 def shapes_of(jets: int) -> list[tuple[int, ...]]:
     """Shapes of `Sums`."""
     m, count = 2 * jets + 3, width_of(jets)
     return [
-        (jets,), (jets,), (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m, m + 1),
-        (BEGINNINGS, m + 2, count),
+        (jets,), (jets,), (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m,), (m, m),
+        (BEGINNINGS, m, count), (BEGINNINGS, 2, count),
     ]  # fmt: skip
 
 
 @compiled
-def add(sums, axis, acts, sees, steps, gain, error, weight, x):
-    """Add an innovation to the sums, and let each cause change the filter as it would.
+def clear(p, sums):
+    """Forget what was heard."""
+    sums.sure[:], sums.moved[:], sums.changed[:], sums.told[:] = 0.0, 0.0, 0.0, 0.0
+    sums.z[:], sums.cov[:] = 0.0, 0.0
+    for i in range(p.sure.shape[0]):
+        sums.cov[i, i] = 1.0 / p.sure[i]
 
-    Args:
-        sums: Sums, changed in place.
-        axis: of the innovation.
-        acts: what each parameter and cause gives in velocity, way and mean pose, (3, columns).
-        sees: how velocity and acceleration at the beginning show in the mean pose.
-        steps: see `coasts`.
-        gain: of the filter.
-        error: the innovation.
-        weight: 1 / its variance; 0: it does not count.
-        x: working memory, (2, columns).
-    """
-    z = sums.told.shape[0]
-    g, x = x[0, :z], x[1, z:]
-    respond(sums.sure[axis], acts[0, :z], acts[1, :z], acts[2, :z], sees, steps, gain, g)
-    for i in range(z):
-        a = weight * g[i]
-        for k in range(z):
-            sums.told[i, k] += a * g[k]
-        sums.told[i, z] += a * error
-    speeds, ways, shows = acts[0, z:], acts[1, z:], acts[2, z:]
-    for b in range(BEGINNINGS):
-        block = sums.blocks[b]
-        respond(sums.moved[b, axis], speeds, ways, shows, sees, steps, gain, x)
-        for k in range(z):
-            a = weight * g[k]
-            for i in range(x.shape[0]):
-                block[k, i] += a * x[i]
-        for i in range(x.shape[0]):
-            a = weight * x[i]
-            block[z, i] += a * x[i]
-            block[z + 1, i] += a * error
+
+class Heard(NamedTuple):
+    """A look: the mean pose's innovations of three axes, and how the filter and z follow them."""
+
+    sees: Array  # how velocity and acceleration at the beginning show in the mean pose, (3, 2)
+    steps: Array  # see innovations.coasts, (3, 3)
+    gain: Array  # of the filter, (3, 3)
+    g: Array  # of z, (3, m)
+    gain_z: Array  # change of z by a unit of what is left, (3, m)
+    left: Array  # what z leaves of the innovation, (3,)
+    weight: Array  # 1 / variance of that, (3,)
 
 
 @compiled
-def respond(moved, speeds, ways, shows, sees, steps, gain, x):
+def learn(sums, heard, axis, acts, error, noise):
+    """Learn the uncertain parameters from an innovation; write to the last four of `heard`.
+
+    Args:
+        sums: Sums, changed in place.
+        heard: Heard, changed in place.
+        axis: of the innovation.
+        acts: what each parameter and cause gives in velocity, way and mean pose, (3, columns).
+        error: the innovation.
+        noise: its variance; infinite: it does not count.
+    """
+    m, z, cov = sums.z.shape[0], sums.z, sums.cov
+    g, gain = heard.g[axis], heard.gain_z[axis]
+    respond(sums.sure[axis], acts[0, :m], acts[1, :m], acts[2, :m], heard, axis, g)
+    variance, left = noise, error
+    for i in range(m):
+        gain[i] = 0.0
+        for h in range(m):
+            gain[i] += cov[i, h] * g[h]
+        variance += g[i] * gain[i]
+        left -= g[i] * z[i]
+    weight = 1.0 / variance
+    for i in range(m):
+        for h in range(m):
+            cov[i, h] -= weight * gain[i] * gain[h]
+    for i in range(m):
+        gain[i] *= weight
+        z[i] += gain[i] * left
+    heard.left[axis], heard.weight[axis] = left, weight
+
+
+@compiled
+def add(sums, heard, acts, x):
+    """Add a look to the sums of each cause, and let the cause change filter and parameters.
+
+    The three axes are learned from one after the other, but in one pass: what the first two have
+    changed is taken out of the others.
+
+    Args:
+        sums: Sums, changed in place.
+        heard: Heard.
+        acts: of each axis, see `learn`, (3, 3, columns).
+        x: working memory, (3, count).
+    """
+    m, count, weight = sums.z.shape[0], x.shape[1], heard.weight
+    first = second = both = 0.0  # what axis 0 changes in 1, in 2, and 1 in 2
+    for q in range(m):
+        first += heard.g[1, q] * heard.gain_z[0, q]
+        second += heard.g[2, q] * heard.gain_z[0, q]
+        both += heard.g[2, q] * heard.gain_z[1, q]
+    x0, x1, x2 = x[0], x[1], x[2]
+    w0, w1, w2 = weight[0], weight[1], weight[2]
+    f0, f1, f2 = w0 * heard.left[0], w1 * heard.left[1], w2 * heard.left[2]
+    for b in range(BEGINNINGS):
+        own, fits = sums.told[b, 0], sums.told[b, 1]
+        for axis in range(3):
+            act = acts[axis]
+            speeds, ways, shows = act[0, m:], act[1, m:], act[2, m:]
+            respond(sums.moved[b, axis], speeds, ways, shows, heard, axis, x[axis])
+        take_out(sums.changed[b], heard.g, x)
+        for i in range(count):
+            x1[i] -= first * x0[i]
+            x2[i] -= second * x0[i] + both * x1[i]
+            own[i] += w0 * x0[i] * x0[i] + w1 * x1[i] * x1[i] + w2 * x2[i] * x2[i]
+            fits[i] += f0 * x0[i] + f1 * x1[i] + f2 * x2[i]
+        change(sums.changed[b], heard.gain_z, x)
+
+
+@compiled
+def take_out(changed, g, x):
+    """Take out of x what the parameters explain of it, g'r; four of them at a time."""
+    m, count = changed.shape
+    x0, x1, x2 = x[0], x[1], x[2]
+    for q in range(0, m - m % 4, 4):
+        a0, a1, a2, a3 = g[0, q], g[0, q + 1], g[0, q + 2], g[0, q + 3]
+        b0, b1, b2, b3 = g[1, q], g[1, q + 1], g[1, q + 2], g[1, q + 3]
+        c0, c1, c2, c3 = g[2, q], g[2, q + 1], g[2, q + 2], g[2, q + 3]
+        r0, r1, r2, r3 = changed[q], changed[q + 1], changed[q + 2], changed[q + 3]
+        for i in range(count):
+            x0[i] -= a0 * r0[i] + a1 * r1[i] + a2 * r2[i] + a3 * r3[i]
+            x1[i] -= b0 * r0[i] + b1 * r1[i] + b2 * r2[i] + b3 * r3[i]
+            x2[i] -= c0 * r0[i] + c1 * r1[i] + c2 * r2[i] + c3 * r3[i]
+    for q in range(m - m % 4, m):
+        r0 = changed[q]
+        for i in range(count):
+            x0[i] -= g[0, q] * r0[i]
+            x1[i] -= g[1, q] * r0[i]
+            x2[i] -= g[2, q] * r0[i]
+
+
+@compiled
+def change(changed, gain, x):
+    """Let the parameters follow what is left of x."""
+    m, count = changed.shape
+    x0, x1, x2 = x[0], x[1], x[2]
+    for q in range(m):
+        r, a, b, c = changed[q], gain[0, q], gain[1, q], gain[2, q]
+        for i in range(count):
+            r[i] += a * x0[i] + b * x1[i] + c * x2[i]
+
+
+@compiled
+def respond(moved, speeds, ways, shows, heard, axis, x):
     """Write to `x` what each column changes in the innovation, and advance what it changes.
 
     In short loops over rows: a processor does several columns at a time.
@@ -91,14 +188,15 @@ def respond(moved, speeds, ways, shows, sees, steps, gain, x):
         speeds: what each column gives in velocity, (count,).
         ways: in way.
         shows: in the mean pose.
-        sees: see `add`.
-        steps: the same.
-        gain: the same.
+        heard: Heard.
+        axis: of it.
         x: (count,).
     """
-    (one, two), (stays, moves, drifts) = sees, steps
+    one, two = heard.sees[axis, 0], heard.sees[axis, 1]
+    stays, moves, drifts = heard.steps[axis, 0], heard.steps[axis, 1], heard.steps[axis, 2]
     position, velocity, slope = moved[0], moved[1], moved[2]
-    of_position, of_velocity, of_slope = gain
+    of_position, of_velocity = heard.gain[axis, 0], heard.gain[axis, 1]
+    of_slope = heard.gain[axis, 2]
     for i in range(x.shape[0]):
         x[i] = position[i] + one * velocity[i] + two * slope[i] + shows[i]
     for i in range(x.shape[0]):
@@ -116,49 +214,65 @@ def age(p, m, sums):
 
     The beginning of the best cause stays.
     """
-    if m.looks % p.next != 0:
-        return
-    sums.told[:] *= p.keep
-    sums.blocks[:] *= p.keep
-    m.heard, m.squares = p.keep * m.heard, p.keep * m.squares
-    count, old = m.looks // p.next, RECENT
+    if m.looks % FORGETS == 0:
+        forgo(p, m, sums)
+    count, old = m.looks, RECENT
     fresh = count % RECENT
     while count % 2 == 0 and old < BEGINNINGS - 2:
         count, old = count // 2, old + 1
     if old != m.began:
-        sums.moved[old], sums.blocks[old] = sums.moved[fresh], sums.blocks[fresh]
+        sums.moved[old], sums.changed[old] = sums.moved[fresh], sums.changed[fresh]
+        sums.told[old] = sums.told[fresh]
         if m.began == fresh:
             m.began = old
-    sums.moved[fresh], sums.blocks[fresh] = 0.0, 0.0
+    sums.moved[fresh], sums.changed[fresh], sums.told[fresh] = 0.0, 0.0, 0.0
 
 
 @compiled
-def weigh(p, m, sums):
-    """Write what the innovations say to `m`, a record of VERDICT."""
-    z, columns = sums.told.shape[0], sums.blocks.shape[2]
-    n, weak, leak = (z - 3) // 2, m.weak.jet, m.leak.jet
+def forgo(p, m, sums):
+    """Forget a little: the parameters return to the file's values, and may be others later."""
+    sums.told[:] *= p.keep
+    m.heard, m.squares, m.left = p.keep * m.heard, p.keep * m.squares, p.keep * m.left
+    sums.z[:] *= p.stays
+    sums.changed[:] *= p.stays
+    sums.cov[:] *= p.stays * p.stays
+    for i in range(p.sure.shape[0]):
+        sums.cov[i, i] += (1.0 - p.stays * p.stays) / p.sure[i]
+
+
+@compiled
+def weigh(p, m, sums, flow):
+    """Write what the innovations say to `m`, a record of VERDICT.
+
+    Args:
+        p: Known.
+        m: innovations.MEMORY, changed in place.
+        sums: Sums.
+        flow: of each jet in this look, (n,) [s].
+    """
+    columns = sums.told.shape[2]
+    n, weak, leak = sums.ways.shape[0], m.weak.jet, m.leak.jet
     forget(m)
     sure = 1.0 / max(1.0, m.noise)
-    root = factor(sure * sums.told, p.sure, p.sure[z - 1])
-    least, y = borrowed(root)
-    memory = np.empty((6 + z + 2, columns))
-    parts, fits, own, block = borrowed((memory[:4], memory[4], memory[5], memory[6:]))
+    memory = np.empty((2, columns))
+    own, fits = borrowed((memory[0], memory[1]))
     most, m.began = 0.0, BEGINNINGS - 1
     for b in range(BEGINNINGS):
-        for i in range(z + 2):
-            for h in range(columns):
-                block[i, h] = sure * sums.blocks[b, i, h]
-        suspect(block, least, y, parts, fits, own)
-        suspect_jets(block[z], fits, own, n, m)
+        for h in range(columns):
+            own[h], fits[h] = sure * sums.told[b, 0, h], sure * sums.told[b, 1, h]
+        suspect_jets(own, fits, own, n, m)
         score(fits, own, 2 * n, p.period, b == BEGINNINGS - 1, m.gains, m.sizes, m.way)
         gain = max(m.leak.gain, m.weak.gain, m.gains.max())
         if gain > most:
             most, m.began = gain, b
     likely = m.weak.gain > LIKELY and m.weak.jet == weak
-    m.held = m.held + WEIGHED if likely else 0
+    if not likely:
+        m.held = 0
+    elif flow[m.weak.jet] > 0.0:
+        m.held += 1
     m.leaks = m.leaks + 1 if m.leak.gain > LIKELY and m.leak.jet == leak else 0
     m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share
     m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
-    left = max(0.0, sure * m.squares - (y * y).sum() - 2.0 * most) / sure
+    left = max(0.0, m.left - 2.0 * most / sure)
     m.noise = max(1.0, (BELIEVED + left) / (BELIEVED + m.heard))
-    keep((root, memory))
+    keep(memory)

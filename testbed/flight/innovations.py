@@ -23,15 +23,15 @@ from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import Vehicle
 from testbed.flight.hypotheses import ALL, DELAYED, DELAYS, PUSHED, ROTATED, SLOWED, X, Y, pads_of
-from testbed.flight.innovation_sums import WEIGHED, add, age, weigh
+from testbed.flight.innovation_sums import FORGETS, Heard, add, age, clear, learn, weigh
 from testbed.flight.record import record
 from testbed.flight.window import VERDICT, forget
 
 Array = NDArray[np.float64]
 
 LOOK = 0.1  # innovations are of the mean pose of so long [s]
-NEXT_S = 0.1  # from one beginning to the next [s]
-MEMORY_S = 60.0  # time constant of forgetting [s]
+MEMORY_S = 300.0  # time constant of forgetting [s]
+STAYS_S = 1000.0  # with which the uncertain parameters change [s, assumed]
 GAP = 1.0  # after this time without poses the filter begins anew [s]
 SLOPE = 0.02  # at the start, one sigma [m/s^2]
 SPIN = 5e-3  # unknown torque at the start, one sigma [rad/s^2]
@@ -53,8 +53,8 @@ class Known(NamedTuple):
     pads: Array  # see hypotheses.pads_of
     hardest: Array  # largest acceleration that is the jets' [m/s^2, rad/s^2]
     period: float  # of a look [s]
-    next: int  # looks from one beginning to the next
-    keep: float  # factor of forgetting, from one beginning to the next
+    keep: float  # factor of forgetting, every FORGETS looks
+    stays: float  # the same of the uncertain parameters
 
 
 MEMORY = record(
@@ -71,8 +71,9 @@ MEMORY = record(
     before=(3,),  # innovation of the last look
     heard=float,  # innovations, as far as they are not forgotten
     squares=float,  # of them, in variances by the files
+    left=float,  # what the uncertain parameters leave of these
     began=int,  # beginning of the cause that explains most
-    held=int,  # looks for which the same weak jet has been likelier than LIKELY
+    held=int,  # looks in which the same weak jet flowed and was likelier than LIKELY
     leaks=int,  # verdicts for which the same leak has been
     noise=float,  # what the best cause leaves of these, each
     **VERDICT,
@@ -81,7 +82,7 @@ MEMORY = record(
 
 @compiled
 def hear(p, m, sums, flown, model, thrust_scale, sample):
-    """Follow a pose that the estimator has accepted; every WEIGHED looks, weigh the causes.
+    """Follow a pose that the estimator has accepted.
 
     Args:
         p: Known.
@@ -104,14 +105,14 @@ def hear(p, m, sums, flown, model, thrust_scale, sample):
     sums.ways[:] += flown[1]
     if since > p.period - 1e-6:
         look(p, m, sums, flown, model, thrust_scale)
-        if m.looks % WEIGHED == 0:
-            weigh(p, m, sums)
 
 
 @compiled
 def begin(p, m, sums, flown, sample):
     """Start the filter at a pose; what was heard stays, and the slope, if it is known."""
     m.begun, m.t = 1, sample[0]
+    if sums.cov[0, 0] == 0.0:
+        clear(p, sums)
     m.x[:, 0:2] = 0.0
     for axis in range(3):
         m.x[axis, 0], slope = sample[axis + 1], m.cov[axis, 2, 2]
@@ -142,21 +143,24 @@ def pause(m):
 
 
 @compiled
-def restart(m, sums):
+def restart(p, m, sums):
     """Forget what was heard."""
     pause(m)
-    m.x[:], m.cov[:], m.heard, m.squares, m.noise = 0.0, 0.0, 0.0, 0.0, 0.0
-    sums.sure[:], sums.moved[:], sums.told[:], sums.blocks[:] = 0.0, 0.0, 0.0, 0.0
+    m.x[:], m.cov[:], m.heard, m.squares, m.left, m.noise = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    clear(p, sums)
 
 
 @compiled
 def look(p, m, sums, flown, model, thrust_scale):
-    """Hear the mean pose of a look, then go to its end."""
+    """Hear the mean pose of a look, go to its end, and weigh the causes."""
     n, span = flown.shape[1], m.t - m.since
     one, two = m.at[0] / m.poses, 0.5 * m.at[1] / m.poses  # mean time, half its mean square
-    columns = sums.told.shape[0] + sums.moved.shape[3]
-    memory = np.zeros((3, 3, columns)), np.empty((3, n)), np.empty((2, columns))
-    acts, gone, x = borrowed(memory)
+    z, count = sums.z.shape[0], sums.told.shape[2]
+    memory = np.zeros((3, 3, z + count)), np.empty((3, n)), np.empty((3, count)), np.empty((6, z))
+    three = np.empty((3, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    acts, gone, x, of_z = borrowed(memory)
+    all_see, all_step, gains, left, weight = borrowed(three)
+    heard = Heard(all_see, all_step, gains, of_z[:3], of_z[3:], left, weight)
     gone[0], gone[1], gone[2] = flown[0], flown[1], sums.ways / m.poses
     whole = span, 0.5 * span * span, two
     for kind in range(3):
@@ -183,12 +187,16 @@ def look(p, m, sums, flown, model, thrust_scale):
         most = p.hardest[axis // 2] * span * span + FAR * np.sqrt(variance)
         outside = min(abs(error), abs(error - m.before[axis])) > most
         m.before[axis] = error
-        weight = 1.0 / variance
+        noise = variance
         if outside:
-            weight, gain = 0.0, (0.0, 0.0, 0.0)
+            noise, gain = np.inf, (0.0, 0.0, 0.0)
+        for i in range(3):
+            all_step[axis, i], gains[axis, i] = steps[i], gain[i]
+        all_see[axis, 0], all_see[axis, 1] = sees
+        learn(sums, heard, axis, both, error, noise)
         m.heard += 0.0 if outside else 1.0
-        m.squares += weight * error * error
-        add(sums, axis, both, sees, steps, gain, error, weight, x)
+        m.squares += error * error / noise
+        m.left += weight[axis] * left[axis] * left[axis]
         for i in range(3):
             state[i] += gain[i] * error
             for k in range(3):
@@ -203,8 +211,10 @@ def look(p, m, sums, flown, model, thrust_scale):
             cov[0, 0] += error * error
             cov[1, 1] += UNKNOWN * UNKNOWN
         cov[2, 2] += span * walk
+    add(sums, heard, acts, x)
+    weigh(p, m, sums, gone[0])
     begin_look(m, sums, flown)
-    keep(memory)
+    keep((memory, three))
 
 
 @compiled
@@ -312,9 +322,9 @@ def known_of(
         for jet in vehicle.jets
     ]
     period = max(LOOK, 1.0 / mocap.rate_hz)
-    steps = max(1, round(NEXT_S / period))
     return Known(
         np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16,
         vehicle.tolerance.pulse, bumps * bumps / CELL, sure, np.array(turned), pads_of(vehicle),
-        hardest, period, steps, 1.0 - min(0.5, steps * period / MEMORY_S),
+        hardest, period, 1.0 - min(0.5, FORGETS * period / MEMORY_S),
+        1.0 - min(0.5, FORGETS * period / STAYS_S),
     )  # fmt: skip

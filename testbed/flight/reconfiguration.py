@@ -23,7 +23,7 @@ from testbed.flight.window import clear
 LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does not fly on
 UPHILL = 2.0  # and this many times the force that the table's slope takes
 SHUT = 0.35  # a jet that gives less is not used: its share is hardly known
-WIDE_OPEN = 0.8  # a jet that leaks more is stuck open
+WIDE_OPEN = 0.65  # a jet that leaks more is stuck open, see the row of the fault table
 FLAT = 1e-9  # squared length of a cross product that counts as zero
 
 PROBE_S = 10.0  # so long a jet that may only look weak is taken back if another one is named [s]
@@ -174,7 +174,7 @@ def restart(p, m, heard, fired):
     """
     pause_windows(p, m, heard)
     if m.probed == 0:
-        believe(m, heard, fired)
+        believe(p, m, heard, fired)
     m.counted, m.again = max(0, m.counted - 2 * CALM), AGAIN
     m.noted, m.stretches = 0, 0
     clear(heard.near)
@@ -185,18 +185,18 @@ def restart(p, m, heard, fired):
 
 
 @compiled
-def believe(m, heard, fired):
+def believe(p, m, heard, fired):
     """Let the innovations begin anew, with the jets as they are now; see `restart`."""
-    innovations.restart(m.innovations, heard.innovations)
+    innovations.restart(p.innovations, m.innovations, heard.innovations)
     heard.innovations.gives[:], heard.innovations.leaks[:] = fired.gives, fired.leaks
 
 
 @compiled
-def end_probe(m, heard, fired, named, t):
-    """Trust a jet that was probed for long enough; `m` is jet_faults.MEMORY."""
+def end_probe(p, m, heard, fired, named, t):
+    """Trust a jet that was probed for long enough; `p` and `m` are jet_faults' Known and MEMORY."""
     if m.probed > 0 and t - named[m.probed - 1] > PROBE_S:
         m.probed = 0
-        believe(m, heard, fired)
+        believe(p, m, heard, fired)
 
 
 @compiled
