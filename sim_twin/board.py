@@ -111,8 +111,9 @@ class Board:
 
     def __init__(self, vehicle: Vehicle, pulses: Pulses, rng: np.random.Generator) -> None:
         valve = vehicle.valve
-        times = vehicle.command_delay_s, valve.min_on_s, valve.min_off_s
-        whole = np.array([nanoseconds(one) for one in times])
+        # as the firmware is told them: a shortest pulse in whole microseconds is played
+        limits = (1000 * round(1e6 * one) for one in (valve.min_on_s, valve.min_off_s))
+        whole = np.array([nanoseconds(vehicle.command_delay_s), *limits])
         self.wires = Wires(pulses, whole, vehicle.tolerance.pulse, words(rng))
         self.pulses = pulses
         self.openings = 0

@@ -91,8 +91,11 @@ def mean_wrench(fired, model, flow, start, end):
     jets = model.effect.shape[1]
     flow[:] = 0.0
     open_jets = 0.0
-    closing = model.valve.close_delay + model.valve.close_ramp
-    for m in range(fired.start.shape[0]):
+    closing, last = model.valve.close_delay + model.valve.close_ramp, fired.start.shape[0] - 1
+    first = last  # of the plans that still give something
+    while first > 0 and fired.end[first - 1] + closing > start:
+        first -= 1
+    for m in range(first, last + 1):
         if fired.start[m] >= end or fired.end[m] + closing <= start:
             continue
         for j in range(jets):

@@ -238,8 +238,8 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     own = residual(m.before, now, duty, thrust_scale, known, heard, m.look)
     x = borrowed(own)
     near, bias = heard.near, heard.bias
-    forget(m)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
+        forget(m)
         keep(own)
         return
     sums = heard.sums
@@ -252,7 +252,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         heard.calm[1] = bias
     for axis in range(2):
         sums[axis, -1] += known.period * bias[axis]
-    if m.look % known.block == 0:
+    if m.look % known.block == 1 % known.block:
         age(near, 0)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
     listen(near, x, trust, known.keep, known.rough, WHITE)
@@ -264,15 +264,24 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     if m.look % SHOWN == 0:
         slope = known.slope * known.slope + known.bumps * known.bumps + m.pulled * m.pulled
         resolve(heard.slow, known.sure, 1.0 / slope, heard.off, heard.sigma)
-    slope = known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * m.counted)
-    root = factor(near.told, known.sure, 1.0 / slope)
-    least, y = borrowed(root)
-    decide(near, least, y, known.period, False, m)
-    judge(heard.nudges.near, least, y, m)
+    if m.look % known.block == 0:
+        weigh_short(known, m, heard)
     m.summed += 1
     if m.summed == known.long:
         weigh_long(known, m, heard)
-    keep((own, root))
+    keep(own)
+
+
+@compiled
+def weigh_short(known, m, heard):
+    """Keep what the window of looks says in `m`, at the end of each block."""
+    forget(m)
+    slope = known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * m.counted)
+    root = factor(heard.near.told, known.sure, 1.0 / slope)
+    least, y = borrowed(root)
+    decide(heard.near, least, y, known.period, False, m)
+    judge(heard.nudges.near, least, y, m)
+    keep(root)
 
 
 @compiled

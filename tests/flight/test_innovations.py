@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from testbed.flight import innovations
+from testbed.flight import innovation_sums, innovations
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.fired import model_of
 from testbed.flight.hypotheses import ALL, PUSHED, WEAK, X, Y
@@ -173,13 +173,13 @@ def test_the_beginning_of_the_best_cause_stays_for_as_long_as_it_is_the_best(veh
 def test_poses_after_a_gap_start_the_filter_again_and_what_was_heard_stays(vehicle, table):
     flown = Flown(vehicle, table, 1, noise=1.0)
     flown.fly(some(np.random.default_rng(1), 500))
-    heard, told = float(flown.m.heard), flown.sums.told.copy()
+    heard, spread = float(flown.m.heard), np.diag(flown.sums.cov).copy()
     flown.x, flown.v = flown.x + 0.5, flown.v + 0.05  # something pushed it meanwhile
     flown.t += 2.0
     flown.fly(np.zeros((200, JETS)))
     assert flown.m.heard > heard
     assert max(flown.m.gains) < 9.0
-    assert (np.diag(flown.sums.told[:, :-1])[:JETS] > 0.5 * np.diag(told[:, :-1])[:JETS]).all()
+    assert (np.diag(flown.sums.cov) < 1.2 * spread).all()
 
 
 def test_a_push_from_outside_does_not_count(vehicle, table):
@@ -191,18 +191,50 @@ def test_a_push_from_outside_does_not_count(vehicle, table):
     assert np.abs(flown.m.x[:, 1] - flown.v).max() < 2e-3
 
 
-def test_a_weak_jet_has_been_likely_for_as_long_as_it_explains_enough(vehicle, table):
+def test_a_weak_jet_counts_the_looks_in_which_it_fires_and_is_likely(vehicle, table):
     rng = np.random.default_rng(5)
     flown = Flown(vehicle, table, 5, noise=1.0)
     flown.fly(some(rng, 1000))
     assert flown.m.held == 0
     flown.gives[2] = 0.5
     flown.fly(some(rng, 400))
-    first = int(flown.m.held)
-    flown.fly(some(rng, 200))
-    assert 0 < first < int(flown.m.held) == first + 20  # looks
+    first, duties = int(flown.m.held), some(rng, 200)
+    flown.fly(duties)
+    fired = int((duties.reshape(-1, 10, JETS)[:, :, 2].sum(axis=1) > 0.0).sum())
+    assert 0 < first < int(flown.m.held) == first + fired
     innovations.pause(flown.m)
     assert flown.m.held == 0
+
+
+def test_the_sums_are_those_of_all_innovations_at_once(vehicle, table):
+    """Generalized least squares: V is the covariance of all innovations, by noise and z."""
+    rng, looks = np.random.default_rng(3), 25
+    p = known_of(vehicle, 0.1, EstimatorParams(), table).innovations
+    memory, _ = make_memory(JETS, 4, 1, 1)
+    sums = memory.heard.innovations
+    innovation_sums.clear(p, sums)
+    m, count = sums.cov.shape[0], sums.told.shape[2]
+    acts, x = np.zeros((looks, 3, 3, m + count)), np.empty((3, count))
+    acts[:, :, 2] = rng.normal(size=(looks, 3, m + count))  # only the look's own mean pose
+    errors, noises = rng.normal(size=(looks, 3)), rng.uniform(0.5, 2.0, (looks, 3))
+    noises[7, 1] = np.inf
+    nothing = np.zeros((3, 2)), np.zeros((3, 3)), np.zeros((3, 3))
+    heard = innovation_sums.Heard(
+        *nothing, np.empty((3, m)), np.empty((3, m)), np.empty(3), np.empty(3)
+    )
+    for look, act in enumerate(acts):
+        for axis in range(3):
+            error, noise = errors[look, axis], noises[look, axis]
+            innovation_sums.learn(sums, heard, axis, act[axis], error, noise)
+        innovation_sums.add(sums, heard, act, x)
+    counts = np.isfinite(noises)
+    z, causes = acts[:, :, 2, :m][counts], acts[:, :, 2, m:][counts]
+    least = np.linalg.inv(np.diag(noises[counts]) + z @ np.diag(1.0 / p.sure) @ z.T)
+    own = np.einsum("ij,ik,kj->j", causes, least, causes)
+    fits = causes.T @ least @ errors[counts]
+    assert sums.told[0, 0] == pytest.approx(own, rel=1e-9)
+    assert sums.told[0, 1] == pytest.approx(fits, rel=1e-9, abs=1e-9 * np.abs(fits).max())
+    assert sums.z == pytest.approx((z.T @ least @ errors[counts]) / p.sure, rel=1e-7, abs=1e-12)
 
 
 @pytest.mark.parametrize("jet", range(0, JETS, 3))

@@ -17,6 +17,7 @@ from testbed.core.fault_injection import Injection
 from testbed.core.jets import JetHealth, effect_matrix
 from testbed.flight import allocation, bad_jet, modulation
 from testbed.flight.allocation import AllocatorParams, weakest_force
+from testbed.flight.bad_jet import AGAIN
 from testbed.flight.fault_monitor import rows_of
 from testbed.flight.hypotheses import LEAK
 from testbed.flight.modulation import SigmaDeltaParams
@@ -127,7 +128,7 @@ def test_the_jet_that_the_innovations_name_is_the_one_that_changes(vehicle, tabl
     suspected, given = memory.fixed[0].jet_faults, memory.fired.gives
     suspected.weak.jet, suspected.far.weak.jet, suspected.innovations.weak.jet = 1, 2, 6
     suspected.far.weak.gain, suspected.innovations.weak.share = 5.0, 0.3
-    suspected.innovations.weak.gain = 40.0
+    suspected.innovations.weak.gain, suspected.innovations.held = 40.0, AGAIN + 1
     missing = Detector.JET_MISSING.value
     change(given, memory.fired.leaks, suspicion_of(suspected, missing), missing)
     assert given[6] == pytest.approx(0.7)
@@ -149,7 +150,7 @@ def test_a_weak_jet_is_a_guess_if_a_leak_is_nearly_as_likely(
     suspected = agent_of(vehicle, table, shipped_faults()).memory.fixed[0].jet_faults
     fine = suspected.innovations
     fine.leak.gain = fine.gains[LEAK] = leak
-    fine.weak.gain, fine.weak.share, fine.weak.jet = weak, 0.9, 3
+    fine.weak.gain, fine.weak.share, fine.weak.jet, fine.held = weak, 0.9, 3, AGAIN + 1
     assert is_a_guess(suspected, detector.value) == guess
 
 
@@ -337,7 +338,7 @@ def test_a_probe_keeps_what_the_innovations_heard_and_ends(vehicle, table):
     memory.named[4] = 20.0
     restart(p.jets_known, m, heard, memory.fired)
     assert (m.innovations.heard, heard.innovations.gives[4]) == (90.0, 1.0)
-    end_probe(m, heard, memory.fired, memory.named, 20.0 + PROBE_S)
+    end_probe(p.jets_known, m, heard, memory.fired, memory.named, 20.0 + PROBE_S)
     assert m.probed == 5
-    end_probe(m, heard, memory.fired, memory.named, 20.1 + PROBE_S)
+    end_probe(p.jets_known, m, heard, memory.fired, memory.named, 20.1 + PROBE_S)
     assert (m.probed, m.innovations.heard, heard.innovations.gives[4]) == (0, 0.0, 0.7)

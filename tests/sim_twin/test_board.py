@@ -171,6 +171,15 @@ def test_a_pulse_below_the_minimum_is_swallowed(openings):
     assert openings(Plan(0, 100, 20, 10)) == [(20, 30)]
 
 
+def test_a_shortest_pulse_that_is_no_whole_microsecond_is_played(make_vehicle, make_plan):
+    """Plans are in whole microseconds, and the firmware rounds its limits to them, too."""
+    board = board_of(make_vehicle(valve={"min_on_s": 0.0255372}))
+    board.apply(make_plan(0.0, {JET: (0.02, 0.025536)}))
+    assert (board.pulses.up < 0).all()
+    board.apply(make_plan(0.1, {JET: (0.02, 0.025537)}))
+    assert (board.pulses.up[JET] >= 0).sum() == 1
+
+
 def test_an_opening_waits_for_the_minimum_off_time(openings):
     before = Plan(0, 100, 40, 57)  # closes 3 ms before the next plan
     assert openings(before, Plan(100, 100, 0, 60)) == [(40, 97), (107, 160)]
