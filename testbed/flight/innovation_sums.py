@@ -10,7 +10,9 @@ variance of e - g'z, each cause has its own sums
 as in the first lines of `jet_faults`, without its L: z is already taken out.
 
 A cause may begin at any time. The last RECENT of such times are tested, older ones at distances
-that double into the past, and the start.
+that double into the past, and the start. What it changes if it begins at b is what it changes since
+the start, without what it had changed until b: that only fades, as the filter forgets an error of
+its state.
 """
 
 from typing import NamedTuple
@@ -24,8 +26,8 @@ from testbed.flight.window import forget, suspect_jets, width_of
 
 Array = NDArray[np.float64]
 
-RECENT = 10  # beginnings that are tested one after the other
-BEGINNINGS = RECENT + 8
+RECENT = 8  # beginnings that are tested one after the other
+BEGINNINGS = RECENT + 7
 BELIEVED = 30.0  # weight of the files' noise at the start [looks]
 LIKELY = 9.2  # gain that counts if it lasts: 4.3 sigma
 FORGETS = 10  # looks from one forgetting to the next
@@ -38,7 +40,9 @@ class Sums(NamedTuple):
     leaks: Array  # and without one, (n,)
     ways: Array  # of each jet, over the poses of this look: integral of its impulse, (n,) [s^2]
     sure: Array  # what an uncertain parameter changes in x of each axis, (3, 3, m)
-    moved: Array  # the same of causes, by beginning, (BEGINNINGS, 3, 3, count)
+    moved: Array  # the same of causes since the start, (3, 3, count)
+    before: Array  # `moved` at each beginning, (BEGINNINGS, 3, 3, count)
+    fades: Array  # what a change of x, each number of it, then is now, (3, 3, 3 BEGINNINGS)
     z: Array  # uncertain parameters, (m,)
     cov: Array  # their covariance, (m, m)
     changed: Array  # r of causes, by beginning, (BEGINNINGS, m, count)
@@ -49,16 +53,16 @@ def shapes_of(jets: int) -> list[tuple[int, ...]]:
     """Shapes of `Sums`."""
     m, count = 2 * jets + 3, width_of(jets)
     return [
-        (jets,), (jets,), (jets,), (3, 3, m), (BEGINNINGS, 3, 3, count), (m,), (m, m),
-        (BEGINNINGS, m, count), (BEGINNINGS, 2, count),
+        (jets,), (jets,), (jets,), (3, 3, m), (3, 3, count), (BEGINNINGS, 3, 3, count),
+        (3, 3, 3 * BEGINNINGS), (m,), (m, m), (BEGINNINGS, m, count), (BEGINNINGS, 2, count),
     ]  # fmt: skip
 
 
 @compiled
 def clear(p, sums):
     """Forget what was heard."""
-    sums.sure[:], sums.moved[:], sums.changed[:], sums.told[:] = 0.0, 0.0, 0.0, 0.0
-    sums.z[:], sums.cov[:] = 0.0, 0.0
+    sums.sure[:], sums.moved[:], sums.before[:], sums.fades[:] = 0.0, 0.0, 0.0, 0.0
+    sums.changed[:], sums.told[:], sums.z[:], sums.cov[:] = 0.0, 0.0, 0.0, 0.0
     for i in range(p.sure.shape[0]):
         sums.cov[i, i] = 1.0 / p.sure[i]
 
@@ -108,7 +112,7 @@ def learn(sums, heard, axis, acts, error, noise):
 
 
 @compiled
-def add(sums, heard, acts, x):
+def add(sums, heard, acts):
     """Add a look to the sums of each cause, and let the cause change filter and parameters.
 
     The three axes are learned from one after the other, but in one pass: what the first two have
@@ -118,9 +122,16 @@ def add(sums, heard, acts, x):
         sums: Sums, changed in place.
         heard: Heard.
         acts: of each axis, see `learn`, (3, 3, columns).
-        x: working memory, (3, count).
     """
-    m, count, weight = sums.z.shape[0], x.shape[1], heard.weight
+    m, count, weight = sums.z.shape[0], sums.told.shape[2], heard.weight
+    memory = np.empty((6, count)), np.empty((3, 3 * BEGINNINGS)), np.zeros(3 * BEGINNINGS)
+    each, fades, nothing = borrowed(memory)
+    always, x = each[:3], each[3:]
+    for axis in range(3):
+        act = acts[axis]
+        speeds, ways, shows = act[0, m:], act[1, m:], act[2, m:]
+        respond(sums.moved[axis], speeds, ways, shows, heard, axis, always[axis])
+        respond(sums.fades[axis], nothing, nothing, nothing, heard, axis, fades[axis])
     first = second = both = 0.0  # what axis 0 changes in 1, in 2, and 1 in 2
     for q in range(m):
         first += heard.g[1, q] * heard.gain_z[0, q]
@@ -128,20 +139,22 @@ def add(sums, heard, acts, x):
         both += heard.g[2, q] * heard.gain_z[1, q]
     x0, x1, x2 = x[0], x[1], x[2]
     w0, w1, w2 = weight[0], weight[1], weight[2]
-    f0, f1, f2 = w0 * heard.left[0], w1 * heard.left[1], w2 * heard.left[2]
+    e0, e1, e2 = w0 * heard.left[0], w1 * heard.left[1], w2 * heard.left[2]
     for b in range(BEGINNINGS):
         own, fits = sums.told[b, 0], sums.told[b, 1]
         for axis in range(3):
-            act = acts[axis]
-            speeds, ways, shows = act[0, m:], act[1, m:], act[2, m:]
-            respond(sums.moved[b, axis], speeds, ways, shows, heard, axis, x[axis])
+            all_, one, before = always[axis], x[axis], sums.before[b, axis]
+            f0, f1, f2 = fades[axis, 3 * b], fades[axis, 3 * b + 1], fades[axis, 3 * b + 2]
+            for i in range(count):
+                one[i] = all_[i] - (f0 * before[0, i] + f1 * before[1, i] + f2 * before[2, i])
         take_out(sums.changed[b], heard.g, x)
         for i in range(count):
             x1[i] -= first * x0[i]
             x2[i] -= second * x0[i] + both * x1[i]
             own[i] += w0 * x0[i] * x0[i] + w1 * x1[i] * x1[i] + w2 * x2[i] * x2[i]
-            fits[i] += f0 * x0[i] + f1 * x1[i] + f2 * x2[i]
+            fits[i] += e0 * x0[i] + e1 * x1[i] + e2 * x2[i]
         change(sums.changed[b], heard.gain_z, x)
+    keep(memory)
 
 
 @compiled
@@ -221,11 +234,16 @@ def age(p, m, sums):
     while count % 2 == 0 and old < BEGINNINGS - 2:
         count, old = count // 2, old + 1
     if old != m.began:
-        sums.moved[old], sums.changed[old] = sums.moved[fresh], sums.changed[fresh]
+        sums.before[old], sums.changed[old] = sums.before[fresh], sums.changed[fresh]
         sums.told[old] = sums.told[fresh]
+        sums.fades[:, :, 3 * old : 3 * old + 3] = sums.fades[:, :, 3 * fresh : 3 * fresh + 3]
         if m.began == fresh:
             m.began = old
-    sums.moved[fresh], sums.changed[fresh], sums.told[fresh] = 0.0, 0.0, 0.0
+    sums.before[fresh], sums.changed[fresh], sums.told[fresh] = sums.moved, 0.0, 0.0
+    for axis in range(3):
+        for i in range(3):
+            for k in range(3):
+                sums.fades[axis, i, 3 * fresh + k] = 1.0 if i == k else 0.0
 
 
 @compiled

@@ -123,7 +123,7 @@ def begin(p, m, sums, flown, sample):
         m.cov[axis, 2, 2] = slope
         m.before[axis] = 0.0
         sums.sure[axis, 0:2] = 0.0
-        sums.moved[:, axis, 0:2] = 0.0
+        sums.moved[axis, 0:2] = sums.fades[axis, 0:2] = 0.0
     begin_look(m, sums, flown)
 
 
@@ -156,9 +156,9 @@ def look(p, m, sums, flown, model, thrust_scale):
     n, span = flown.shape[1], m.t - m.since
     one, two = m.at[0] / m.poses, 0.5 * m.at[1] / m.poses  # mean time, half its mean square
     z, count = sums.z.shape[0], sums.told.shape[2]
-    memory = np.zeros((3, 3, z + count)), np.empty((3, n)), np.empty((3, count)), np.empty((6, z))
+    memory = np.zeros((3, 3, z + count)), np.empty((3, n)), np.empty((6, z))
     three = np.empty((3, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    acts, gone, x, of_z = borrowed(memory)
+    acts, gone, of_z = borrowed(memory)
     all_see, all_step, gains, left, weight = borrowed(three)
     heard = Heard(all_see, all_step, gains, of_z[:3], of_z[3:], left, weight)
     gone[0], gone[1], gone[2] = flown[0], flown[1], sums.ways / m.poses
@@ -211,7 +211,7 @@ def look(p, m, sums, flown, model, thrust_scale):
             cov[0, 0] += error * error
             cov[1, 1] += UNKNOWN * UNKNOWN
         cov[2, 2] += span * walk
-    add(sums, heard, acts, x)
+    add(sums, heard, acts)
     weigh(p, m, sums, gone[0])
     begin_look(m, sums, flown)
     keep((memory, three))

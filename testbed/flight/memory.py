@@ -102,7 +102,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
     duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
     near, far = Window(*parts[:6]), Window(*parts[6:12])
-    innovations, nudges = innovation_sums.Sums(*parts[12:21]), Nudges(*parts[21:])
+    innovations, nudges = innovation_sums.Sums(*parts[12:23]), Nudges(*parts[23:])
     fired = Fired(*views[Fired])
     heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, innovations, nudges)
     fired.start[:] = fired.end[:] = -np.inf

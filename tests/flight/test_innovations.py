@@ -8,7 +8,6 @@ from testbed.flight import innovation_sums, innovations
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.fired import model_of
 from testbed.flight.hypotheses import ALL, PUSHED, WEAK, X, Y
-from testbed.flight.innovation_sums import BEGINNINGS
 from testbed.flight.jet_faults import known_of
 from testbed.flight.memory import make_memory
 
@@ -102,7 +101,7 @@ def column(flown, place):
     z = 2 * JETS + 3
     if place < z:
         return flown.sums.sure[:, :, place]
-    return flown.sums.moved[BEGINNINGS - 1, :, :, place - z]
+    return flown.sums.moved[:, :, place - z]
 
 
 def test_a_column_is_what_the_filter_changes_if_it_believes_the_cause(vehicle, table):
@@ -206,6 +205,22 @@ def test_a_weak_jet_counts_the_looks_in_which_it_fires_and_is_likely(vehicle, ta
     assert flown.m.held == 0
 
 
+def test_what_a_cause_changes_since_a_beginning_is_what_it_would_without_a_past(vehicle, table):
+    rng = np.random.default_rng(4)
+    before, after = some(rng, 300), some(rng, 50)
+    flown, other = Flown(vehicle, table, 4, 1.0), Flown(vehicle, table, 4, 1.0)
+    flown.fly(before)
+    other.fly(before)
+    other.sums.moved[:] = 0.0
+    place = (int(flown.m.looks) + 1) % innovation_sums.RECENT
+    flown.fly(after)
+    other.fly(after)
+    fades = flown.sums.fades.reshape(3, 3, innovation_sums.BEGINNINGS, 3)[:, :, place]
+    since = flown.sums.moved - np.einsum("aik,akc->aic", fades, flown.sums.before[place])
+    assert np.abs(flown.sums.before[place]).max() > 0.1
+    assert since == pytest.approx(other.sums.moved, abs=1e-9)
+
+
 def test_the_sums_are_those_of_all_innovations_at_once(vehicle, table):
     """Generalized least squares: V is the covariance of all innovations, by noise and z."""
     rng, looks = np.random.default_rng(3), 25
@@ -214,7 +229,7 @@ def test_the_sums_are_those_of_all_innovations_at_once(vehicle, table):
     sums = memory.heard.innovations
     innovation_sums.clear(p, sums)
     m, count = sums.cov.shape[0], sums.told.shape[2]
-    acts, x = np.zeros((looks, 3, 3, m + count)), np.empty((3, count))
+    acts = np.zeros((looks, 3, 3, m + count))
     acts[:, :, 2] = rng.normal(size=(looks, 3, m + count))  # only the look's own mean pose
     errors, noises = rng.normal(size=(looks, 3)), rng.uniform(0.5, 2.0, (looks, 3))
     noises[7, 1] = np.inf
@@ -226,7 +241,7 @@ def test_the_sums_are_those_of_all_innovations_at_once(vehicle, table):
         for axis in range(3):
             error, noise = errors[look, axis], noises[look, axis]
             innovation_sums.learn(sums, heard, axis, act[axis], error, noise)
-        innovation_sums.add(sums, heard, act, x)
+        innovation_sums.add(sums, heard, act)
     counts = np.isfinite(noises)
     z, causes = acts[:, :, 2, :m][counts], acts[:, :, 2, m:][counts]
     least = np.linalg.inv(np.diag(noises[counts]) + z @ np.diag(1.0 / p.sure) @ z.T)
