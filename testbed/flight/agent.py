@@ -41,7 +41,7 @@ from testbed.core.types import (
 )
 from testbed.core.vehicle import Vehicle
 from testbed.flight import chain
-from testbed.flight.bad_jet import is_weak, is_weak_by_innovations, leak_of, leaks_by_innovations
+from testbed.flight.bad_jet import INNOVATIONS
 from testbed.flight.barrier import Barrier
 from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
@@ -338,15 +338,15 @@ class Agent:
         if detector in CAUSES:
             kind = CAUSES[detector]
             found = verdict_of(m, self.memory.fixed[0].permanent, kind)
-            if detector == Detector.JET_MISSING and not is_weak(m) and is_weak_by_innovations(m):
-                found = m.innovations
-            if detector == Detector.JET_LEAKS and leaks_by_innovations(m):
+            by = {Detector.JET_MISSING: m.weak_by, Detector.JET_LEAKS: m.leak_by}
+            if by.get(detector) == INNOVATIONS:
                 found = m.innovations
             return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)
         step = self.memory.fixed[0].estimator.step
         match detector:
             case Detector.JET_OPEN:
-                return str(leak_of(m).jet + 1)
+                leak = m.innovations.leak if m.leak_by == INNOVATIONS else m.leak
+                return str(leak.jet + 1)
             case Detector.LATE_STEP | Detector.FRAME_STEP | Detector.HEADING_STEP:
                 far, turn = math.hypot(step[0], step[1]), math.degrees(step[2])
                 return f"{1e3 * far:.0f} mm and {turn:.1f} deg away from one pose to the next"

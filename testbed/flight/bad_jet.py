@@ -8,6 +8,7 @@ import numpy as np
 from testbed.core.compiled import compiled
 from testbed.flight.hypotheses import CLEAR, LEAK, NUDGE, SURE, WEAK, beyond, outlasts
 
+NOTHING, NEAR, INNOVATIONS, FAR = range(4)  # windows that may be sure of a jet
 ENOUGH = 0.2  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
 UNSURE = 0.2  # the same beside a jet that is stuck open, whose thrust is not known exactly
@@ -55,8 +56,16 @@ def nudge_of(m):
 
 @compiled
 def leak_of(m):
-    """The leak that a window is sure of; its gain is 0 if none is."""
-    return m.innovations.leak if leaks_by_innovations(m) else m.leak
+    """The suspicion of a leak: by the window that is sure of one."""
+    return m.innovations.leak if m.leak_by == INNOVATIONS else m.leak
+
+
+@compiled
+def weak_of(m):
+    """The same of a weak jet."""
+    if m.weak_by == INNOVATIONS:
+        return m.innovations.weak
+    return m.weak if m.weak_by == NEAR else m.far.weak
 
 
 @compiled
@@ -72,16 +81,23 @@ def is_weak(m):
 
 
 @compiled
-def missing(m):
-    """Sigmas of a jet that is too weak; the other windows have to be surer."""
+def decide_by(m):
+    """Write to `m` which windows are sure of a bad jet.
+
+    The innovations see a leak of the opposite jet first. Beside it, no jet is weak.
+    """
+    m.leak_by = m.weak_by = NOTHING
     if leaks_by_innovations(m):
-        return 0.0
+        m.leak_by = INNOVATIONS
+        return
+    if leaks(m):
+        m.leak_by = NEAR
     if is_weak(m) and m.weak.gain > SURE:
-        return sigmas(m.weak)
-    if is_weak_by_innovations(m):
-        return sigmas(m.innovations.weak)
-    sure = m.far.weak.gain > LONG_SURE and is_weak(m.far) and is_no_leak(m.far)
-    return sigmas(m.far.weak) if sure else 0.0
+        m.weak_by = NEAR
+    elif is_weak_by_innovations(m):
+        m.weak_by = INNOVATIONS
+    elif m.far.weak.gain > LONG_SURE and is_weak(m.far) and is_no_leak(m.far):
+        m.weak_by = FAR
 
 
 @compiled
@@ -132,7 +148,7 @@ def leaks_or_is_weak(m):
     No jet is in doubt while the long window is sure of a pull: once the short window has forgotten
     when the pull began, a leak explains it nearly as well.
     """
-    if leaks_by_innovations(m):
+    if m.leak_by == INNOVATIONS:
         return False
     other = beyond(m.gains, LEAK)
     may = (

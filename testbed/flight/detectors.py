@@ -92,7 +92,7 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
         m: MEMORY, changed in place.
         seen: estimator.MEMORY.
         known: jet_faults.Known.
-        suspected: jet_faults.MEMORY.
+        suspected: jet_faults.MEMORY, changed in place.
         always: permanent.MEMORY.
         row: record.ROW.
         samples: rows (captured at, x, y, theta).
@@ -118,8 +118,9 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
     for k in range(neighbours.shape[0]):
         if told.t - neighbours[k, 5] > oldest:
             oldest, done.oldest = told.t - neighbours[k, 5], k
-    leaks = bad_jet.leaks(suspected) or bad_jet.leaks_by_innovations(suspected)
-    leak = bad_jet.leak_of(suspected)
+    bad_jet.decide_by(suspected)
+    leaks, leak = suspected.leak_by != bad_jet.NOTHING, bad_jet.leak_of(suspected)
+    weak = suspected.weak_by != bad_jet.NOTHING
     either = bad_jet.leaks_or_is_weak(suspected)
     done.leak = bad_jet.sigmas(suspected.leak) if either else 0.0
     repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
@@ -139,7 +140,7 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
         leak.share if leaks else 0.0,
         bad_jet.sigmas(leak) if leaks else 0.0,
         done.leak,
-        bad_jet.missing(suspected),
+        bad_jet.sigmas(bad_jet.weak_of(suspected)) if weak else 0.0,
         spare,
         float(told.law_failed),
         0.0 if finite else 1.0,

@@ -26,8 +26,8 @@ from testbed.flight.window import forget, suspect_jets, width_of
 
 Array = NDArray[np.float64]
 
-RECENT = 8  # beginnings that are tested one after the other
-BEGINNINGS = RECENT + 7
+RECENT = 6  # beginnings that are tested one after the other
+BEGINNINGS = RECENT + 9  # up to 26 s ago, and the start
 BELIEVED = 30.0  # weight of the files' noise at the start [looks]
 LIKELY = 9.2  # gain that counts if it lasts: 4.3 sigma
 FORGETS = 10  # looks from one forgetting to the next

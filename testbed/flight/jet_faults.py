@@ -107,6 +107,8 @@ MEMORY = record(
     probed=int,  # the jet that is compensated on a doubt, from 1; 0: none
     far=record(**VERDICT),  # of the long window
     innovations=innovations.MEMORY,
+    leak_by=int,  # window that is sure of a leak, see bad_jet.py
+    weak_by=int,  # and of a weak jet
     **VERDICT,  # of the short one
 )
 

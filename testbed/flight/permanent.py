@@ -15,7 +15,7 @@ from typing import Any
 
 from testbed.core.compiled import borrowed, compiled, keep
 from testbed.flight import hypotheses
-from testbed.flight.bad_jet import is_weak
+from testbed.flight.bad_jet import NEAR
 from testbed.flight.hypotheses import (
     CLEAR,
     LATE,
@@ -155,7 +155,7 @@ def verdict_of(suspected: Any, m: Any, kind: int) -> Any:
         kind: see hypotheses.py.
     """
     found = suspected.far
-    if kind in SHORT or (kind == WEAK and is_weak(suspected)):
+    if kind in SHORT or (kind == WEAK and suspected.weak_by == NEAR):
         found = suspected
     if kind == NUDGE and suspected.gains[kind] > found.gains[kind]:
         found = suspected

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
 from testbed.flight import innovations
-from testbed.flight.bad_jet import DOUBT, is_weak, is_weak_by_innovations, leak_of
+from testbed.flight.bad_jet import DOUBT, INNOVATIONS, leak_of, weak_of
 from testbed.flight.effectiveness import SPREAD
 from testbed.flight.jet_faults import AGAIN, CALM, pause_windows
 from testbed.flight.window import clear
@@ -99,19 +99,9 @@ def suspicion_of(suspected, detector):
         suspected: jet_faults.MEMORY.
         detector: codes.Detector, one of the jets'.
     """
-    of_leaks = detector in (OPEN, LEAKS)
-    return leak_of(suspected) if of_leaks else weak_of(suspected, detector)
-
-
-@compiled
-def weak_of(suspected, detector):
-    """The weak jet of the window that is sure of one, see bad_jet.missing."""
-    far = suspected.far.weak
-    if detector == DOUBTFUL or is_weak(suspected):
-        return suspected.weak
-    if is_weak_by_innovations(suspected):
-        return suspected.innovations.weak
-    return far if far.gain > 0.0 else suspected.weak
+    if detector in (OPEN, LEAKS):
+        return leak_of(suspected)
+    return suspected.weak if detector == DOUBTFUL else weak_of(suspected)
 
 
 @compiled
@@ -138,7 +128,7 @@ def is_a_guess(suspected, detector):
     """
     found = suspected.innovations
     near = found.leak.gain > (1.0 - DOUBT) * found.weak.gain
-    guessed = detector not in (OPEN, LEAKS) and is_weak_by_innovations(suspected) and near
+    guessed = detector not in (OPEN, LEAKS) and suspected.weak_by == INNOVATIONS and near
     return detector == DOUBTFUL or guessed
 
 

@@ -341,7 +341,7 @@ def flown(name, inject, duration):
         ('{kind="freeze_mocap",vehicle="sat1",at_s=2.03}', "pose_frozen", "brake", 0.16),
         ('{kind="jump_mocap",vehicle="sat1",at_s=2.03}', "pose_jumped", "brake", 0.3),
         ('{kind="stick_open",vehicle="sat1",at_s=2.03,jet=3}', "valve_stuck_open", "land", 1.3),
-        ('{kind="leak_valve",vehicle="sat1",at_s=2.03,jet=3}', "valve_leaks_or_weak", "land", 4.5),
+        ('{kind="leak_valve",vehicle="sat1",at_s=2.03,jet=3}', "valve_leaks", "land", 2.3),
         ('{kind="brown_out",vehicle="sat1",at_s=2.03}', "battery_low", "land", 0.15),
         ('{kind="clock_step",vehicle="sat1",at_s=2.03}', "clock_off", "brake", 0.3),
         ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "host_law", "brake", 0.3),

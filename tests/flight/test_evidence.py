@@ -164,8 +164,10 @@ def test_the_innovations_name_a_leak_that_is_large_and_clear(changes, named, veh
     evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
     evidence.m.weak.gain, evidence.m.weak.share = 100.0, 1.0
     evidence.m.gains[WEAK] = 100.0
-    assert bad_jet.leaks_by_innovations(evidence.m) == named
-    assert (bad_jet.missing(evidence.m) == 0.0) == named  # the opposite jet is not to blame
+    bad_jet.decide_by(evidence.m)
+    # the opposite jet is not to blame, if the leak is sure
+    expected = (bad_jet.INNOVATIONS, bad_jet.NOTHING) if named else (bad_jet.NOTHING, bad_jet.NEAR)
+    assert (evidence.m.leak_by, evidence.m.weak_by) == expected
     assert bad_jet.leak_of(evidence.m).jet == (3 if named else 0)
 
 

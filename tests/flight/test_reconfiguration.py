@@ -17,7 +17,7 @@ from testbed.core.fault_injection import Injection
 from testbed.core.jets import JetHealth, effect_matrix
 from testbed.flight import allocation, bad_jet, modulation
 from testbed.flight.allocation import AllocatorParams, weakest_force
-from testbed.flight.bad_jet import AGAIN
+from testbed.flight.bad_jet import INNOVATIONS, NEAR
 from testbed.flight.fault_monitor import rows_of
 from testbed.flight.hypotheses import LEAK
 from testbed.flight.modulation import SigmaDeltaParams
@@ -112,6 +112,7 @@ def test_what_is_left_must_suffice(vehicle):
 def test_a_finding_changes_its_jet_only(vehicle, table, detector, share, gives, leaks):
     memory = agent_of(vehicle, table, shipped_faults()).memory
     suspected, given, leaked = memory.fixed[0].jet_faults, memory.fired.gives, memory.fired.leaks
+    suspected.weak_by = suspected.leak_by = NEAR
     suspected.weak.jet = suspected.leak.jet = 5
     suspected.weak.share = suspected.leak.share = share
     found = suspicion_of(suspected, detector.value)
@@ -127,8 +128,7 @@ def test_the_jet_that_the_innovations_name_is_the_one_that_changes(vehicle, tabl
     memory = agent_of(vehicle, table, shipped_faults()).memory
     suspected, given = memory.fixed[0].jet_faults, memory.fired.gives
     suspected.weak.jet, suspected.far.weak.jet, suspected.innovations.weak.jet = 1, 2, 6
-    suspected.far.weak.gain, suspected.innovations.weak.share = 5.0, 0.3
-    suspected.innovations.weak.gain, suspected.innovations.held = 40.0, AGAIN + 1
+    suspected.weak_by, suspected.innovations.weak.share = INNOVATIONS, 0.3
     missing = Detector.JET_MISSING.value
     change(given, memory.fired.leaks, suspicion_of(suspected, missing), missing)
     assert given[6] == pytest.approx(0.7)
@@ -150,7 +150,8 @@ def test_a_weak_jet_is_a_guess_if_a_leak_is_nearly_as_likely(
     suspected = agent_of(vehicle, table, shipped_faults()).memory.fixed[0].jet_faults
     fine = suspected.innovations
     fine.leak.gain = fine.gains[LEAK] = leak
-    fine.weak.gain, fine.weak.share, fine.weak.jet, fine.held = weak, 0.9, 3, AGAIN + 1
+    fine.weak.gain, fine.weak.share, fine.weak.jet = weak, 0.9, 3
+    suspected.weak_by = INNOVATIONS
     assert is_a_guess(suspected, detector.value) == guess
 
 
