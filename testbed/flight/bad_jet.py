@@ -18,9 +18,9 @@ PART = 0.15  # smallest missing share of thrust that is worth a warning
 DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 # A jet that was not used before its fault and lacks 30 % is 6 sigma of the tolerance (THRUST) from
 # its file, however long it fires, and often less. So 4.3 sigma of the innovations are enough, if
-# they last for so many looks in which it fires. One pulse is not enough for 5 sigma, either: if its
-# plan was lost on the radio, it lacks all of its thrust.
-LASTS, AGAIN = 3, 1
+# they last for more looks in which it fires than this.
+LIKELY_LOOKS = 3
+SURE_LOOKS = 1  # of 5 sigma: a single pulse that a board dropped lacks all of its thrust
 SIMILAR = 0.07  # as DOUBT, of a leak by the innovations
 CLEARER = 1.0  # as CLEAR, by the innovations: their gains are tens to hundreds
 
@@ -45,7 +45,7 @@ def leaks_by_innovations(m):
     found, leak = m.innovations, m.innovations.leak
     other = max(beyond(found.gains, LEAK), leak.next)
     clear = leak.gain > SURE and leak.gain > other + CLEARER + SIMILAR * min(leak.gain, other)
-    return clear and leak.share > ENOUGH and found.leaks > 1 and leak.gain > nudge_of(m) + CLEAR
+    return clear and leak.share > ENOUGH and found.leak_held > 1 and leak.gain > nudge_of(m) + CLEAR
 
 
 @compiled
@@ -82,7 +82,7 @@ def is_weak(m):
 
 @compiled
 def decide_by(m):
-    """Write to `m` which windows are sure of a bad jet.
+    """Write to `m`, a jet_faults.MEMORY, which windows are sure of a bad jet.
 
     The innovations see a leak of the opposite jet first. Beside it, no jet is weak.
     """
@@ -113,9 +113,9 @@ def is_weak_by_innovations(m):
     leak = m.innovations.leak.gain
     clear = weak.gain > max(other + CLEARER, leak - CLEARER)
     fresh = weak.jet != m.probed - 1  # that one was named
-    held = m.innovations.held
-    large = fresh and weak.share > ENOUGH and held > (AGAIN if weak.gain > SURE else LASTS)
-    return large and clear and weak.gain > nudge_of(m) + CLEAR
+    lasts = m.innovations.held > (SURE_LOOKS if weak.gain > SURE else LIKELY_LOOKS)
+    large = weak.share > ENOUGH
+    return fresh and lasts and large and clear and weak.gain > nudge_of(m) + CLEAR
 
 
 @compiled

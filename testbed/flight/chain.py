@@ -118,6 +118,8 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     asks = fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)
     if asks >= 0 and done.fault < 0:  # a vehicle that stops anyway keeps what was found
         reconfigure(p, memory, row, asks)
+    if done.fault >= 0 and reconfiguration.names_a_leak(p.rows.detector[done.fault]):
+        reconfiguration.take_back(m.jet_faults, memory.fired, memory.named)
 
 
 @pasted
@@ -132,8 +134,8 @@ def reconfigure(p, memory, row, k):
     suspected, named, t = m.jet_faults, memory.named, row.told.t
     found, doubted = reconfiguration.suspicion_of(suspected, detector), suspected.probed - 1
     back = doubted >= 0 and doubted != found.jet
-    if back:  # it was not that one
-        fired.gives[doubted], named[doubted] = 1.0, 0.0
+    if back:
+        reconfiguration.take_back(suspected, fired, named)
     gives, leaks, may = fired.gives.copy(), fired.leaks.copy(), True
     if back and detector == reconfiguration.DOUBTFUL:
         detector, may = reconfiguration.OPEN, reconfiguration.flies_with_a_leak(p.rows)

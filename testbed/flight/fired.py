@@ -23,7 +23,7 @@ class Fired(NamedTuple):
     on: Array  # (m, n) [s]
     offset: Array  # (m, n) [s]
     held: Array  # (m, n) on-time of the same pulse in the plans before [s]
-    gives: Array  # see reconfiguration.Able, (n,)
+    gives: Array  # see the first lines of reconfiguration, (n,)
     leaks: Array  # (n,)
 
 

@@ -67,8 +67,8 @@ def clear(p, sums):
         sums.cov[i, i] = 1.0 / p.sure[i]
 
 
-class Heard(NamedTuple):
-    """A look: the mean pose's innovations of three axes, and how the filter and z follow them."""
+class Look(NamedTuple):
+    """The mean pose's innovations of three axes, and how the filter and z follow them."""
 
     sees: Array  # how velocity and acceleration at the beginning show in the mean pose, (3, 2)
     steps: Array  # see innovations.coasts, (3, 3)
@@ -80,20 +80,20 @@ class Heard(NamedTuple):
 
 
 @compiled
-def learn(sums, heard, axis, acts, error, noise):
-    """Learn the uncertain parameters from an innovation; write to the last four of `heard`.
+def learn(sums, seen, axis, acts, error, noise):
+    """Learn the uncertain parameters from an innovation; write to the last four of `seen`.
 
     Args:
         sums: Sums, changed in place.
-        heard: Heard, changed in place.
+        seen: Look, changed in place.
         axis: of the innovation.
         acts: what each parameter and cause gives in velocity, way and mean pose, (3, columns).
         error: the innovation.
         noise: its variance; infinite: it does not count.
     """
     m, z, cov = sums.z.shape[0], sums.z, sums.cov
-    g, gain = heard.g[axis], heard.gain_z[axis]
-    respond(sums.sure[axis], acts[0, :m], acts[1, :m], acts[2, :m], heard, axis, g)
+    g, gain = seen.g[axis], seen.gain_z[axis]
+    respond(sums.sure[axis], acts[0, :m], acts[1, :m], acts[2, :m], seen, axis, g)
     variance, left = noise, error
     for i in range(m):
         gain[i] = 0.0
@@ -108,11 +108,11 @@ def learn(sums, heard, axis, acts, error, noise):
     for i in range(m):
         gain[i] *= weight
         z[i] += gain[i] * left
-    heard.left[axis], heard.weight[axis] = left, weight
+    seen.left[axis], seen.weight[axis] = left, weight
 
 
 @compiled
-def add(sums, heard, acts):
+def add(sums, seen, acts):
     """Add a look to the sums of each cause, and let the cause change filter and parameters.
 
     The three axes are learned from one after the other, but in one pass: what the first two have
@@ -120,40 +120,40 @@ def add(sums, heard, acts):
 
     Args:
         sums: Sums, changed in place.
-        heard: Heard.
+        seen: Look.
         acts: of each axis, see `learn`, (3, 3, columns).
     """
-    m, count, weight = sums.z.shape[0], sums.told.shape[2], heard.weight
+    m, count, weight = sums.z.shape[0], sums.told.shape[2], seen.weight
     memory = np.empty((6, count)), np.empty((3, 3 * BEGINNINGS)), np.zeros(3 * BEGINNINGS)
     each, fades, nothing = borrowed(memory)
-    always, x = each[:3], each[3:]
+    since_start, x = each[:3], each[3:]
     for axis in range(3):
         act = acts[axis]
         speeds, ways, shows = act[0, m:], act[1, m:], act[2, m:]
-        respond(sums.moved[axis], speeds, ways, shows, heard, axis, always[axis])
-        respond(sums.fades[axis], nothing, nothing, nothing, heard, axis, fades[axis])
+        respond(sums.moved[axis], speeds, ways, shows, seen, axis, since_start[axis])
+        respond(sums.fades[axis], nothing, nothing, nothing, seen, axis, fades[axis])
     first = second = both = 0.0  # what axis 0 changes in 1, in 2, and 1 in 2
     for q in range(m):
-        first += heard.g[1, q] * heard.gain_z[0, q]
-        second += heard.g[2, q] * heard.gain_z[0, q]
-        both += heard.g[2, q] * heard.gain_z[1, q]
+        first += seen.g[1, q] * seen.gain_z[0, q]
+        second += seen.g[2, q] * seen.gain_z[0, q]
+        both += seen.g[2, q] * seen.gain_z[1, q]
     x0, x1, x2 = x[0], x[1], x[2]
     w0, w1, w2 = weight[0], weight[1], weight[2]
-    e0, e1, e2 = w0 * heard.left[0], w1 * heard.left[1], w2 * heard.left[2]
+    e0, e1, e2 = w0 * seen.left[0], w1 * seen.left[1], w2 * seen.left[2]
     for b in range(BEGINNINGS):
         own, fits = sums.told[b, 0], sums.told[b, 1]
         for axis in range(3):
-            all_, one, before = always[axis], x[axis], sums.before[b, axis]
+            whole, rest, before = since_start[axis], x[axis], sums.before[b, axis]
             f0, f1, f2 = fades[axis, 3 * b], fades[axis, 3 * b + 1], fades[axis, 3 * b + 2]
             for i in range(count):
-                one[i] = all_[i] - (f0 * before[0, i] + f1 * before[1, i] + f2 * before[2, i])
-        take_out(sums.changed[b], heard.g, x)
+                rest[i] = whole[i] - (f0 * before[0, i] + f1 * before[1, i] + f2 * before[2, i])
+        take_out(sums.changed[b], seen.g, x)
         for i in range(count):
             x1[i] -= first * x0[i]
             x2[i] -= second * x0[i] + both * x1[i]
             own[i] += w0 * x0[i] * x0[i] + w1 * x1[i] * x1[i] + w2 * x2[i] * x2[i]
             fits[i] += e0 * x0[i] + e1 * x1[i] + e2 * x2[i]
-        change(sums.changed[b], heard.gain_z, x)
+        change(sums.changed[b], seen.gain_z, x)
     keep(memory)
 
 
@@ -191,7 +191,7 @@ def change(changed, gain, x):
 
 
 @compiled
-def respond(moved, speeds, ways, shows, heard, axis, x):
+def respond(moved, speeds, ways, shows, seen, axis, x):
     """Write to `x` what each column changes in the innovation, and advance what it changes.
 
     In short loops over rows: a processor does several columns at a time.
@@ -201,15 +201,15 @@ def respond(moved, speeds, ways, shows, heard, axis, x):
         speeds: what each column gives in velocity, (count,).
         ways: in way.
         shows: in the mean pose.
-        heard: Heard.
+        seen: Look.
         axis: of it.
         x: (count,).
     """
-    one, two = heard.sees[axis, 0], heard.sees[axis, 1]
-    stays, moves, drifts = heard.steps[axis, 0], heard.steps[axis, 1], heard.steps[axis, 2]
+    one, two = seen.sees[axis, 0], seen.sees[axis, 1]
+    stays, moves, drifts = seen.steps[axis, 0], seen.steps[axis, 1], seen.steps[axis, 2]
     position, velocity, slope = moved[0], moved[1], moved[2]
-    of_position, of_velocity = heard.gain[axis, 0], heard.gain[axis, 1]
-    of_slope = heard.gain[axis, 2]
+    of_position, of_velocity = seen.gain[axis, 0], seen.gain[axis, 1]
+    of_slope = seen.gain[axis, 2]
     for i in range(x.shape[0]):
         x[i] = position[i] + one * velocity[i] + two * slope[i] + shows[i]
     for i in range(x.shape[0]):
@@ -228,7 +228,7 @@ def age(p, m, sums):
     The beginning of the best cause stays.
     """
     if m.looks % FORGETS == 0:
-        forgo(p, m, sums)
+        fade(p, m, sums)
     count, old = m.looks, RECENT
     fresh = count % RECENT
     while count % 2 == 0 and old < BEGINNINGS - 2:
@@ -247,10 +247,10 @@ def age(p, m, sums):
 
 
 @compiled
-def forgo(p, m, sums):
+def fade(p, m, sums):
     """Forget a little: the parameters return to the file's values, and may be others later."""
     sums.told[:] *= p.keep
-    m.heard, m.squares, m.left = p.keep * m.heard, p.keep * m.squares, p.keep * m.left
+    m.heard, m.squares = p.keep * m.heard, p.keep * m.squares
     sums.z[:] *= p.stays
     sums.changed[:] *= p.stays
     sums.cov[:] *= p.stays * p.stays
@@ -278,7 +278,7 @@ def weigh(p, m, sums, flow):
     for b in range(BEGINNINGS):
         for h in range(columns):
             own[h], fits[h] = sure * sums.told[b, 0, h], sure * sums.told[b, 1, h]
-        suspect_jets(own, fits, own, n, m)
+        suspect_jets(own, fits, own, n, m)  # of x'x nothing is left but N
         score(fits, own, 2 * n, p.period, b == BEGINNINGS - 1, m.gains, m.sizes, m.way)
         gain = max(m.leak.gain, m.weak.gain, m.gains.max())
         if gain > most:
@@ -288,9 +288,9 @@ def weigh(p, m, sums, flow):
         m.held = 0
     elif flow[m.weak.jet] > 0.0:
         m.held += 1
-    m.leaks = m.leaks + 1 if m.leak.gain > LIKELY and m.leak.jet == leak else 0
+    m.leak_held = m.leak_held + 1 if m.leak.gain > LIKELY and m.leak.jet == leak else 0
     m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share
     m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
-    left = max(0.0, m.left - 2.0 * most / sure)
+    left = max(0.0, m.squares - 2.0 * most / sure)
     m.noise = max(1.0, (BELIEVED + left) / (BELIEVED + m.heard))
     keep(memory)

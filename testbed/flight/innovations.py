@@ -23,7 +23,7 @@ from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import Vehicle
 from testbed.flight.hypotheses import ALL, DELAYED, DELAYS, PUSHED, ROTATED, SLOWED, X, Y, pads_of
-from testbed.flight.innovation_sums import FORGETS, Heard, add, age, clear, learn, weigh
+from testbed.flight.innovation_sums import FORGETS, Look, add, age, clear, learn, weigh
 from testbed.flight.record import record
 from testbed.flight.window import VERDICT, forget
 
@@ -70,11 +70,10 @@ MEMORY = record(
     cov=(3, 3, 3),  # of these
     before=(3,),  # innovation of the last look
     heard=float,  # innovations, as far as they are not forgotten
-    squares=float,  # of them, in variances by the files
-    left=float,  # what the uncertain parameters leave of these
+    squares=float,  # what the uncertain parameters leave of them, in variances by the files
     began=int,  # beginning of the cause that explains most
     held=int,  # looks in which the same weak jet flowed and was likelier than LIKELY
-    leaks=int,  # verdicts for which the same leak has been
+    leak_held=int,  # looks in a row with the same leak, likelier than LIKELY
     noise=float,  # what the best cause leaves of these, each
     **VERDICT,
 )
@@ -138,7 +137,7 @@ def begin_look(m, sums, flown):
 @compiled
 def pause(m):
     """Begin anew at the next pose: the last ones were not trusted."""
-    m.begun = m.held = m.leaks = 0
+    m.begun = m.held = m.leak_held = 0
     forget(m)
 
 
@@ -146,7 +145,7 @@ def pause(m):
 def restart(p, m, sums):
     """Forget what was heard."""
     pause(m)
-    m.x[:], m.cov[:], m.heard, m.squares, m.left, m.noise = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    m.x[:], m.cov[:], m.heard, m.squares, m.noise = 0.0, 0.0, 0.0, 0.0, 0.0
     clear(p, sums)
 
 
@@ -160,7 +159,7 @@ def look(p, m, sums, flown, model, thrust_scale):
     three = np.empty((3, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     acts, gone, of_z = borrowed(memory)
     all_see, all_step, gains, left, weight = borrowed(three)
-    heard = Heard(all_see, all_step, gains, of_z[:3], of_z[3:], left, weight)
+    seen = Look(all_see, all_step, gains, of_z[:3], of_z[3:], left, weight)
     gone[0], gone[1], gone[2] = flown[0], flown[1], sums.ways / m.poses
     whole = span, 0.5 * span * span, two
     for kind in range(3):
@@ -193,10 +192,9 @@ def look(p, m, sums, flown, model, thrust_scale):
         for i in range(3):
             all_step[axis, i], gains[axis, i] = steps[i], gain[i]
         all_see[axis, 0], all_see[axis, 1] = sees
-        learn(sums, heard, axis, both, error, noise)
+        learn(sums, seen, axis, both, error, noise)
         m.heard += 0.0 if outside else 1.0
-        m.squares += error * error / noise
-        m.left += weight[axis] * left[axis] * left[axis]
+        m.squares += weight[axis] * left[axis] * left[axis]
         for i in range(3):
             state[i] += gain[i] * error
             for k in range(3):
@@ -211,7 +209,7 @@ def look(p, m, sums, flown, model, thrust_scale):
             cov[0, 0] += error * error
             cov[1, 1] += UNKNOWN * UNKNOWN
         cov[2, 2] += span * walk
-    add(sums, heard, acts)
+    add(sums, seen, acts)
     weigh(p, m, sums, gone[0])
     begin_look(m, sums, flown)
     keep((memory, three))

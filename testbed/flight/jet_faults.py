@@ -254,7 +254,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         heard.calm[1] = bias
     for axis in range(2):
         sums[axis, -1] += known.period * bias[axis]
-    if m.look % known.block == 1 % known.block:
+    if m.look % known.block == 1 % known.block:  # after `weigh_short`: each block is whole there
         age(near, 0)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
     listen(near, x, trust, known.keep, known.rough, WHITE)

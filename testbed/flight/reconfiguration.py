@@ -89,6 +89,12 @@ def whole_of(effect: NDArray[np.float64], slope: float) -> Whole:
 
 
 @compiled
+def names_a_leak(detector):
+    """Whether a detector is sure of a leak, or of a valve that is stuck open."""
+    return detector in (OPEN, LEAKS)
+
+
+@compiled
 def suspicion_of(suspected, detector):
     """The suspicion that a detector names, see window.SUSPICION.
 
@@ -99,7 +105,7 @@ def suspicion_of(suspected, detector):
         suspected: jet_faults.MEMORY.
         detector: codes.Detector, one of the jets'.
     """
-    if detector in (OPEN, LEAKS):
+    if names_a_leak(detector):
         return leak_of(suspected)
     return suspected.weak if detector == DOUBTFUL else weak_of(suspected)
 
@@ -108,7 +114,7 @@ def suspicion_of(suspected, detector):
 def change(gives, leaks, found, detector):
     """Write to `gives` and `leaks`, see `room`, what a detector has found: a suspicion."""
     j = found.jet
-    if detector not in (OPEN, LEAKS):
+    if not names_a_leak(detector):
         left = 1.0 - min(1.0, found.share)
         gives[j], leaks[j] = gives[j] * left, leaks[j] * left
         if gives[j] < SHUT:
@@ -128,7 +134,7 @@ def is_a_guess(suspected, detector):
     """
     found = suspected.innovations
     near = found.leak.gain > (1.0 - DOUBT) * found.weak.gain
-    guessed = detector not in (OPEN, LEAKS) and suspected.weak_by == INNOVATIONS and near
+    guessed = not names_a_leak(detector) and suspected.weak_by == INNOVATIONS and near
     return detector == DOUBTFUL or guessed
 
 
@@ -179,6 +185,13 @@ def believe(p, m, heard, fired):
     """Let the innovations begin anew, with the jets as they are now; see `restart`."""
     innovations.restart(p.innovations, m.innovations, heard.innovations)
     heard.innovations.gives[:], heard.innovations.leaks[:] = fired.gives, fired.leaks
+
+
+@compiled
+def take_back(m, fired, named):
+    """Fly with the probed jet as before: it was not that one; `m` is jet_faults.MEMORY."""
+    if m.probed > 0:
+        fired.gives[m.probed - 1], named[m.probed - 1], m.probed = 1.0, 0.0, 0
 
 
 @compiled

@@ -9,7 +9,7 @@ from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight import bad_jet, jet_faults
-from testbed.flight.bad_jet import AGAIN, LASTS
+from testbed.flight.bad_jet import LIKELY_LOOKS, SURE_LOOKS
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import LATE, LEAK, NUDGE, PULL, WEAK
 from testbed.flight.jet_faults import BUMPS, SLOPE, slopes
@@ -115,9 +115,9 @@ def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle, table):
         ({}, True),
         ({"gain": 12.4}, False),
         ({"gain": 12.6}, True),
-        ({"gain": 90.0, "held": AGAIN}, False),  # one pulse, which may have been lost
-        ({"gain": 9.6, "held": LASTS}, False),
-        ({"gain": 9.6, "held": LASTS + 1}, True),
+        ({"gain": 90.0, "held": SURE_LOOKS}, False),  # one pulse, which may have been lost
+        ({"gain": 9.6, "held": LIKELY_LOOKS}, False),
+        ({"gain": 9.6, "held": LIKELY_LOOKS + 1}, True),
         ({"share": 0.19}, False),
         ({"next": 39.5}, False),  # another jet
         ({"late": 39.5}, False),
@@ -133,7 +133,7 @@ def test_the_innovations_name_a_jet_only_if_it_explains_most(changes, named, veh
     found = evidence.m.innovations
     found.weak.jet, found.weak.share = 3, changes.get("share", 0.3)
     found.weak.gain = found.gains[WEAK] = changes.get("gain", 40.0)
-    found.held = changes.get("held", AGAIN + 1)
+    found.held = changes.get("held", SURE_LOOKS + 1)
     found.leak.gain = found.gains[LEAK] = changes.get("leak", 0.0)
     found.weak.next, found.gains[LATE] = changes.get("next", 0.0), changes.get("late", 0.0)
     evidence.m.probed = changes.get("probed", 0)
@@ -159,7 +159,7 @@ def test_the_innovations_name_a_leak_that_is_large_and_clear(changes, named, veh
     found = evidence.m.innovations
     found.leak.jet, found.leak.share = 3, changes.get("share", 0.9)
     found.leak.gain = found.gains[LEAK] = changes.get("gain", 40.0)
-    found.leak.next, found.leaks = changes.get("next", 0.0), changes.get("leaks", 2)
+    found.leak.next, found.leak_held = changes.get("next", 0.0), changes.get("leaks", 2)
     found.weak.gain = found.gains[WEAK] = changes.get("weak", 0.0)
     evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
     evidence.m.weak.gain, evidence.m.weak.share = 100.0, 1.0

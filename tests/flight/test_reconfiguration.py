@@ -331,6 +331,24 @@ def test_a_jet_that_was_in_doubt_is_named_after_all(case):
     assert [k for k, one in enumerate(rig.jets("sat1")) if one.words] == [case.jet]
 
 
+def test_a_landing_for_an_open_valve_takes_the_probed_jet_back():
+    experiment = load(
+        find("hold"), [*STARTS, "vehicles.sat1.model=uky", "vehicles.sat1.goal=[0.5,0.3,1.0]"]
+    )
+    stuck = Injection("stick_open", "sat1", at_s=3.0, jet=2)
+    rig = make_twin(replace(experiment, inject=[stuck], duration_s=10.0))
+    probed = []
+
+    class Watch(NullObserver):
+        def vehicle(self, name, tick):
+            probed.extend(k for k, one in enumerate(rig.jets(name), 1) if one.words)
+
+    ending = rig.fly(Watch())
+    assert "jet 2 gives" in ending.fault.words
+    assert set(probed) == {5}
+    assert not [one.words for one in rig.jets("sat1") if one.words]
+
+
 def test_a_probe_keeps_what_the_innovations_heard_and_ends(vehicle, table):
     agent = agent_of(vehicle, table, shipped_faults())
     memory, p = agent.memory, agent.params
