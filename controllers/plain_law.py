@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from controllers.law_file import UnusableLawError, blame
 from testbed.core.error import TestbedError
-from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, concerns_of, propagate
+from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, concerns_of, fly_ahead
 
 Array = NDArray[np.float64]
 
@@ -78,8 +78,16 @@ class PlainLaw:
         """See `Law`."""
         if self._step > 0.0:
             steps = min(steps, math.ceil(duration / self._step - 1e-9))
-        plain = getattr(propagate, "py_func", propagate)  # numba may be switched off
-        return plain(self, law_state, own, neighbours, world, t, duration, steps)
+        return propagate_plain(self, law_state, own, neighbours, world, t, duration, steps)
+
+
+def propagate_plain(
+    law: Any, law_state: Array, own: Body, neighbours: Neighbours, world: World,
+    t: float, duration: float, steps: int,
+) -> Ahead:  # fmt: skip
+    """`propagate` in plain Python, for a law with a method `rate`."""
+    plain = getattr(fly_ahead, "py_func", fly_ahead)  # numba may be switched off
+    return plain(own.p.shape[0], law, law_state, own, neighbours, world, t, duration, steps)
 
 
 def _check_signature(verb: str, method: Callable[..., Any], path: Path | None) -> None:

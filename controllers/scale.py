@@ -29,7 +29,7 @@ from testbed.core.law import (
     World,
     compiled_propagate,
     concerns_of,
-    propagate,
+    propagate_in_plane,
 )
 from testbed.core.vehicle import Positive
 
@@ -113,11 +113,12 @@ class InUnits(NamedTuple):
 
 @compiled_propagate(InUnits)
 def fly_scaled(law, law_state, own, neighbours, world, t, duration, steps):
-    """`propagate` in the paper's units; one call, because each call of compiled code costs time."""
+    """`propagate_in_plane` in the paper's units, in one call of compiled code."""
     gains, units = law
     body, others, scene = scene_in(units, own, neighbours, world)
     t, duration = t * units.time, duration * units.time
-    return home(units, propagate(gains, law_state, body, others, scene, t, duration, steps))
+    ahead = propagate_in_plane(gains, law_state, body, others, scene, t, duration, steps)
+    return home(units, ahead)
 
 
 class Scaled:
@@ -164,7 +165,7 @@ class Scaled:
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
         units, law = self._units(own.mass), self.law
-        if isinstance(law, CompiledLaw):
+        if isinstance(law, CompiledLaw) and own.p.shape[0] == 2:
             scaled = InUnits(law.gains, units)
             return self._fly_scaled(scaled, law_state, own, neighbours, world, t, duration, steps)
         body, others, scene = scene_in(units, own, neighbours, world)

@@ -209,8 +209,8 @@ def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F
 
 
 def propagate_of(law, law_state, own, neighbours, world, t, duration, steps):
-    """`propagate`, or what is registered for laws with gains of this type."""
-    fly = _PROPAGATES.get(type(law), propagate)
+    """`propagate_in_plane`, or what is registered for laws with gains of this type."""
+    fly = _PROPAGATES.get(type(law), propagate_in_plane)
     return fly(law, law_state, own, neighbours, world, t, duration, steps)
 
 
@@ -219,14 +219,14 @@ _PROPAGATES: dict[type, Callable] = {}  # by the type of a law's gains
 
 @overload(propagate_of)
 def _propagate_of(law, law_state, own, neighbours, world, t, duration, steps):
-    fly = _PROPAGATES.get(law.instance_class, propagate)
+    fly = _PROPAGATES.get(law.instance_class, propagate_in_plane)
     return lambda law, law_state, own, neighbours, world, t, duration, steps: fly(
         law, law_state, own, neighbours, world, t, duration, steps
     )
 
 
 def compiled_propagate(gains_type: type) -> Callable[[F], F]:
-    """Compile what `propagate_of` calls instead of `propagate` for `gains_type`."""
+    """Compile what `propagate_of` calls for `gains_type` instead of `propagate_in_plane`."""
 
     def decorate(function: F) -> F:
         _PROPAGATES[gains_type] = compiled(function)
@@ -269,13 +269,9 @@ class CompiledLaw:
         rate: Callable[..., Any],
         message_size: int = 0,
     ) -> None:
-        self.gains, self._initial, self._rate, self.message_size = (
-            gains,
-            initial,
-            rate,
-            message_size,
-        )
-        self._propagate = settled(propagate)
+        self.gains, self._initial, self._rate = gains, initial, rate
+        self.message_size = message_size
+        self._propagate, self._in_plane = settled(propagate), settled(propagate_in_plane)
 
     def for_compiled_code(self, mass: float) -> Any:
         """The law for `propagate_of`, for a vehicle of this mass [kg]; None: there is none."""
@@ -296,7 +292,8 @@ class CompiledLaw:
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        return self._propagate(self.gains, law_state, own, neighbours, world, t, duration, steps)
+        fly = self._in_plane if own.p.shape[0] == 2 else self._propagate
+        return fly(self.gains, law_state, own, neighbours, world, t, duration, steps)
 
 
 @inlined
@@ -330,15 +327,40 @@ def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
     Returns:
         the state at the end, the mean force and the law's message.
     """
+    d = own.p.shape[0]
+    return fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps)
+
+
+@compiled
+def propagate_in_plane(gains, law_state, own, neighbours, world, t, duration, steps):
+    """`propagate` for d = 2: the compiler knows the lengths of all loops, in the law's rate, too.
+
+    The same arithmetic takes half the time.
+    """
+    return fly_ahead(2, gains, law_state, own, neighbours, world, t, duration, steps)
+
+
+@inlined
+def copied(vector, d):
+    """The first `d` numbers of `vector`."""
+    copy = np.empty(d)
+    for i in range(d):
+        copy[i] = vector[i]
+    return copy
+
+
+@inlined
+def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
+    """See `propagate`; `d` is the number of axes."""
     h = duration / steps
     z = jump_of(gains, law_state, own, neighbours, world, t).copy()
-    p, v = own.p.copy(), own.v.copy()
-    disturbance = own.disturbance.copy()
-    goal_p, goal_v, goal_a = world.goal.p.copy(), world.goal.v.copy(), world.goal.a.copy()
-    obstacles_p, others_p = world.obstacles.p.copy(), neighbours.p.copy()
-    body = borrowed(
-        Body(p, v, own.mass, disturbance, own.disturbance_rate, own.max_force, own.vehicle_index)
-    )
+    p, v, disturbance = copied(own.p, d), copied(own.v, d), copied(own.disturbance, d)
+    unrest, jerk, goal = copied(own.disturbance_rate, d), copied(world.goal.jerk, d), world.goal
+    goal_p, goal_v, goal_a = copied(goal.p, d), copied(goal.v, d), copied(goal.a, d)
+    obstacles_p = np.empty((world.obstacles.p.shape[0], d))
+    others_p = np.empty((neighbours.p.shape[0], d))
+    obstacles_p[:], others_p[:] = world.obstacles.p, neighbours.p
+    body = borrowed(Body(p, v, own.mass, disturbance, unrest, own.max_force, own.vehicle_index))
     others = borrowed(
         Neighbours(
             others_p, neighbours.v, neighbours.radius,
@@ -347,23 +369,23 @@ def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
     )  # fmt: skip
     scene = borrowed(
         World(
-            Goal(goal_p, goal_v, goal_a, world.goal.jerk),
+            Goal(goal_p, goal_v, goal_a, jerk),
             Discs(obstacles_p, world.obstacles.v, world.obstacles.radius),
         )
     )
     gains, state = borrowed(gains), borrowed(z)
-    mean_force = np.zeros(p.shape[0])
+    mean_force = np.zeros(d)
     for k in range(steps):
         force, z_rate = rate_of(gains, state, body, others, scene, t + k * h)
-        for i in range(p.shape[0]):
+        for i in range(d):
             mean_force[i] += force[i] / steps
             a = force[i] / own.mass + disturbance[i]
             p[i] += h * (v[i] + 0.5 * h * a)
             v[i] += h * a
-            disturbance[i] += h * own.disturbance_rate[i]
+            disturbance[i] += h * unrest[i]
             goal_p[i] += h * (goal_v[i] + 0.5 * h * goal_a[i])
             goal_v[i] += h * goal_a[i]
-            goal_a[i] += h * world.goal.jerk[i]
+            goal_a[i] += h * jerk[i]
             for n in range(obstacles_p.shape[0]):
                 obstacles_p[n, i] += h * world.obstacles.v[n, i]
             for n in range(others_p.shape[0]):
@@ -371,5 +393,6 @@ def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
         for i in range(z.shape[0]):  # last, because the force may be a view of the law's state
             z[i] += h * z_rate[i]
     message = broadcast_of(gains, state, body, others, scene, t + duration)
-    keep((own, neighbours, world, disturbance, goal_p, goal_v, goal_a, obstacles_p, others_p))
+    keep((own, neighbours, world, disturbance, unrest))
+    keep((goal_p, goal_v, goal_a, jerk, obstacles_p, others_p))
     return Ahead(z, p, v, mean_force, message)

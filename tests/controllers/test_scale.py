@@ -6,10 +6,11 @@ import pytest
 
 from controllers.catalogue import make_law
 from controllers.pd import PdParams, pd
+from controllers.plain_law import propagate_plain
 from controllers.scale import Scale, Scaled
 from controllers.smc import SmcParams, smc
 from controllers.sotsmc import SotsmcParams, sotsmc
-from testbed.core.law import Body, Discs, Goal, Neighbours, World, propagate, silent
+from testbed.core.law import Body, Discs, Goal, Neighbours, World, silent
 
 ZHANG = Scale(length=62.5, time=10.0, mass=1.0)
 LAWS = {
@@ -79,7 +80,7 @@ def test_a_scaled_law_is_the_law_in_the_papers_units(name, scale, table_scene):
     assert (scaled.initial(*table_scene) == state).all()
 
     # its rate, integrated here on the table, against the law integrated in the paper's world
-    table = propagate.py_func(scaled, state, *table_scene, 0.0, 20.0, STEPS)
+    table = propagate_plain(scaled, state, *table_scene, 0.0, 20.0, STEPS)
     paper = law.propagate(state, *paper_scene, 0.0, 20.0 * scale.time, STEPS)
 
     assert np.linalg.norm(table.p - table_scene[0].p) > 0.05
@@ -97,7 +98,7 @@ def test_both_ways_to_fly_a_scaled_law_agree(name, table_scene):
     scaled = Scaled(LAWS[name](), ZHANG)
     state = scaled.initial(*table_scene)
     one = scaled.propagate(state, *table_scene, 0.0, 20.0, STEPS)
-    other = propagate.py_func(scaled, state, *table_scene, 0.0, 20.0, STEPS)
+    other = propagate_plain(scaled, state, *table_scene, 0.0, 20.0, STEPS)
     for a, b in zip(one, other, strict=True):
         assert a == pytest.approx(b, rel=1e-6, abs=1e-12)
 

@@ -28,20 +28,21 @@ FLY = """
 import sys
 {law}
 import numpy as np
-from testbed.core.law import Body, CompiledLaw, Discs, Goal, World, propagate, no_state, silent
+from testbed.core.law import Body, CompiledLaw, Discs, Goal, World
+from testbed.core.law import no_state, propagate_in_plane, silent
 zero = np.zeros(2)
 none = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 own = Body(zero, zero, 2.0, zero, zero, 1e9)
 world = World(Goal(zero + 1.0, zero, zero, zero), none)
 law = CompiledLaw(Gains({numbers}), no_state, rate)
 ahead = law.propagate(np.zeros(0), own, silent(none), world, 0.0, 0.1, 10)
-print(ahead.mean_force[0], sum(propagate.stats.cache_hits.values()))
+print(ahead.mean_force[0], sum(propagate_in_plane.stats.cache_hits.values()))
 """
 
 
 @pytest.fixture
 def fly(tmp_path):
-    """Fly a law in a process of its own: mean force [N] and how much of `propagate` was on disk."""
+    """Fly a law in a process of its own: mean force [N], and how much of its code was on disk."""
 
     def run(law: str, numbers: str, path: Path | None = None) -> tuple[float, int]:
         result = subprocess.run(

@@ -9,8 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controllers.pd import PdParams, pd
+from controllers.plain_law import propagate_plain
 from controllers.sotsmc import SotsmcParams, sotsmc
-from testbed.core.law import Body, Discs, Goal, World, bounded, propagate, silent
+from testbed.core.law import (
+    Body,
+    Discs,
+    Goal,
+    World,
+    bounded,
+    propagate,
+    propagate_in_plane,
+    silent,
+)
 
 MASS = 12.5  # [kg]
 UNBOUNDED = 1e9  # [N]
@@ -82,7 +92,7 @@ def test_constant_force_is_exact(steps, d):
     own = steady(own)
     force = np.arange(1.0, d + 1.0)
 
-    ahead = propagate.py_func(Push(force), np.zeros(0), own, others, world, 3.0, 0.7, steps)
+    ahead = propagate_plain(Push(force), np.zeros(0), own, others, world, 3.0, 0.7, steps)
 
     a = force / MASS + own.disturbance
     assert ahead.p == pytest.approx(own.p + 0.7 * own.v + 0.5 * 0.7**2 * a, abs=1e-14)
@@ -95,7 +105,7 @@ def test_the_world_moves_on_between_sub_steps():
     world = world._replace(goal=world.goal._replace(jerk=np.zeros(2)))
     watch = FaultMonitor()
 
-    propagate.py_func(watch, np.zeros(0), own, others, world, 2.0, 0.8, 8)
+    propagate_plain(watch, np.zeros(0), own, others, world, 2.0, 0.8, 8)
 
     assert [t for t, _ in watch.seen] == pytest.approx(2.0 + 0.1 * np.arange(8))
     for t, (body, heard, around) in watch.seen:
@@ -118,7 +128,7 @@ def test_order_of_a_goal_with_jerk():
     for steps in (50, 100, 200):
         watch = FaultMonitor()
         # one step more than needed: the last look is at the end of the second
-        propagate.py_func(watch, np.zeros(0), own, others, world, 0.0, 1.0 + 1.0 / steps, steps + 1)
+        propagate_plain(watch, np.zeros(0), own, others, world, 0.0, 1.0 + 1.0 / steps, steps + 1)
         errors.append(np.abs(watch.seen[-1][1][2].goal.p - end).max())
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 
@@ -130,7 +140,7 @@ def test_order_of_a_force_that_varies():
     end = own.p + own.v + np.array([1.0 - math.cos(1.0), -1.0 / 3.0]) / MASS
     errors = []
     for steps in (50, 100, 200):
-        ahead = propagate.py_func(Clockwork(), np.zeros(1), own, others, world, 0.0, 1.0, steps)
+        ahead = propagate_plain(Clockwork(), np.zeros(1), own, others, world, 0.0, 1.0, steps)
         errors.append(np.abs(ahead.p - end).max())
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 
@@ -139,7 +149,7 @@ def test_order_of_the_law_state():
     own, others, world = scene(4)
     errors = []
     for steps in (50, 100, 200):
-        ahead = propagate.py_func(Clockwork(), np.ones(1), own, others, world, 0.0, 1.0, steps)
+        ahead = propagate_plain(Clockwork(), np.ones(1), own, others, world, 0.0, 1.0, steps)
         errors.append(abs(ahead.law_state[0] - (2.0 - math.cos(1.0))))
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 
@@ -168,9 +178,16 @@ def test_arrays_handed_over_are_not_written_to(make):
 
     law.propagate(*handed_over, 0.0, 0.5, 50)
     law.rate(*handed_over, 0.0)
-    propagate.py_func(law, *handed_over, 0.0, 0.5, 50)
+    propagate_plain(law, *handed_over, 0.0, 0.5, 50)
 
     assert bits(handed_over) == before
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_the_plane_every_bit_is_the_same(seed):
+    law, (own, others, world) = sotsmc(SotsmcParams(), 2), scene(seed)
+    flight = law.gains, law.initial(own, others, world) + 0.125, own, others, world, 1.0, 2.0, 200
+    assert bits(propagate_in_plane(*flight)) == bits(propagate(*flight))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -179,7 +196,7 @@ def test_plain_python_law_flies_like_the_compiled_one(seed):
     own = own._replace(max_force=5.0)  # bounds the force on the way
     state = np.zeros(0)
     compiled = law.propagate(state, own, others, world, 1.0, 2.0, 200)
-    plain = propagate.py_func(law, state, own, others, world, 1.0, 2.0, 200)
+    plain = propagate_plain(law, state, own, others, world, 1.0, 2.0, 200)
     for one, other in zip(compiled, plain, strict=True):
         assert one == pytest.approx(other, rel=1e-13)
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from controllers.plain_law import propagate_plain
 from testbed.core.law import (
     Body,
     Discs,
@@ -81,7 +82,7 @@ def fly_compiled(state, scene):
 
 
 def fly_plain(state, scene):
-    return propagate.py_func(Plain(), state, *scene, 10.0, 0.5, 2)
+    return propagate_plain(Plain(), state, *scene, 10.0, 0.5, 2)
 
 
 @pytest.mark.parametrize("fly", [fly_compiled, fly_plain])
@@ -96,6 +97,6 @@ def test_a_law_jumps_first_and_tells_last(fly, scene):
 
 
 def test_a_law_needs_no_more_than_a_rate(scene):
-    ahead = propagate.py_func(OnlyRate(), np.ones(2), *scene, 0.0, 1.0, 4)
+    ahead = propagate_plain(OnlyRate(), np.ones(2), *scene, 0.0, 1.0, 4)
     assert list(ahead.law_state) == [1.0, 1.0]
     assert ahead.message.shape == (0,)
