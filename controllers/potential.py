@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import inlined
 from testbed.core.error import MismatchError
+from testbed.core.scratch import scratch
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -144,8 +145,8 @@ def add_repulsions(u, own, discs, offset, error, g):
 
 
 @inlined
-def gradient(u, own, force, neighbours, world):
-    """Position error, gradient of U and their time derivatives at the satellite's position.
+def gradient(u, own, force, neighbours, world, error, g):
+    """Write position error, gradient of U and their time derivatives at the satellite's position.
 
     Args:
         u: the potential.
@@ -153,15 +154,13 @@ def gradient(u, own, force, neighbours, world):
         force: on it, shape (d,) [N].
         neighbours: discs to avoid.
         world: goal, and more discs.
-
-    Returns:
-        e and its first two time derivatives, shape (3, d), the second one with the nominal
-        acceleration; nabla U, Eq. (16), and its first two time derivatives, the first one is Omega
-        of Eq. (21), shape (3, d).
+        error: written: e and its first two time derivatives, shape (3, d), the second one with the
+            nominal acceleration.
+        g: written: nabla U, Eq. (16), and its first two time derivatives, shape (3, d). The first
+            one is Omega of Eq. (21).
     """
     d = own.p.shape[0]
-    work = np.empty((9, d))  # a single allocation: this is the innermost loop
-    error, offset, g = work[:3], work[3:6], work[6:]
+    offset = scratch((3, d))
     for i in range(d):
         accel = force[i] / own.mass + own.disturbance[i]
         error[0, i] = own.p[i] - world.goal.p[i]
@@ -172,4 +171,3 @@ def gradient(u, own, force, neighbours, world):
             g[k, i] = u.attract[i] * error[k, i]  # Eq. (10)
     add_repulsions(u, own, world.obstacles, offset, error, g)
     add_repulsions(u, own, neighbours, offset, error, g)
-    return error, g

@@ -32,6 +32,7 @@ from controllers.potential import (
 )
 from controllers.scale import Scale
 from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, no_state
+from testbed.core.scratch import scratch
 from testbed.core.vehicle import NonNegative
 
 Array = NDArray[np.float64]
@@ -64,7 +65,8 @@ def rate(gains, law_state, own, neighbours, world, t):
     d = own.p.shape[0]
     # Omega depends on velocities only, so the force, not known yet, does not affect it
     force = np.zeros(d)
-    e, g = gradient(gains.potential, own, force, neighbours, world)
+    e, g = scratch((3, d)), scratch((3, d))
+    gradient(gains.potential, own, force, neighbours, world, e, g)
     for i in range(d):
         s = gains.surface[i] * g[0, i] + e[1, i]  # Eq. (15)
         force[i] = own.mass * (  # Eq. (44)

@@ -46,6 +46,7 @@ from controllers.scale import Scale
 from testbed.core.compiled import inlined
 from testbed.core.error import MismatchError
 from testbed.core.law import Body, CompiledLaw, Law, bounded, compiled_rate
+from testbed.core.scratch import scratch
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -111,7 +112,8 @@ def rate(gains, law_state, own, neighbours, world, t):
     u, bound = law_state[:d], law_state[d]
     force = bounded(u, own.max_force)
     power = gains.power
-    e, g = gradient(gains.potential, own, force, neighbours, world)
+    e, g = scratch((3, d)), scratch((3, d))
+    gradient(gains.potential, own, force, neighbours, world, e, g)
     change = np.empty(d + 1)
     length = outward = spread = slow = steep = 0.0
     for i in range(d):

@@ -34,7 +34,7 @@ def body_now(parameters, v, used):
 
 
 @inlined
-def breathe(stages, now, rate, h, parameters, v, used):
+def breathe(stages, level, rate, since, h, parameters, v, used):
     """Wrench, mass properties and gas flow of vehicle `v` at the Gauss points, see `body.step`.
 
     The consumed gas is a state of the same collocation step: the flow depends on the supply
@@ -42,8 +42,9 @@ def breathe(stages, now, rate, h, parameters, v, used):
 
     Args:
         stages: `body` and `gas` are written to.
-        now: fx, fy, tau and sum of thrust magnitudes at the start, at set pressure.
+        level: fx, fy, tau and sum of thrust magnitudes at set pressure, when their piece began.
         rate: their slopes.
+        since: the piece began so long before the step [s].
         h: step [s].
         parameters: the true vehicles.
         v: index of the vehicle.
@@ -53,6 +54,7 @@ def breathe(stages, now, rate, h, parameters, v, used):
         gas consumed at the end [kg], total impulse of all jets [N s].
     """
     body, gas = stages.body, stages.gas
+    flow = level[3] + rate[3] * since
     gas[:] = 0.0
     for _ in range(PASSES):
         change = 0.0
@@ -61,7 +63,7 @@ def breathe(stages, now, rate, h, parameters, v, used):
             for j in range(3):
                 gone += h * A[i, j] * gas[j, FLOW]
             gas[i, SHARE] = supply_share(parameters, v, gone)
-            new = gas[i, SHARE] * (now[3] + C[i] * h * rate[3]) / parameters.exhaust_speed[v]
+            new = gas[i, SHARE] * (flow + C[i] * h * rate[3]) / parameters.exhaust_speed[v]
             if gone < parameters.gas[v]:
                 new += parameters.bearing_flow[v]
             change = max(change, abs(new - gas[i, FLOW]))
@@ -74,9 +76,10 @@ def breathe(stages, now, rate, h, parameters, v, used):
         for j in range(3):
             gone += h * A[i, j] * gas[j, FLOW]
         for axis in range(3):
-            body[i, FX + axis] = gas[i, SHARE] * (now[axis] + C[i] * h * rate[axis])
+            now = level[axis] + rate[axis] * since
+            body[i, FX + axis] = gas[i, SHARE] * (now + C[i] * h * rate[axis])
         mass, inertia, cx, cy = body_now(parameters, v, min(gone, parameters.gas[v]))
         body[i, MASS], body[i, INERTIA], body[i, CX], body[i, CY] = mass, inertia, cx, cy
         end += h * B[i] * gas[i, FLOW]
-        impulse += h * B[i] * gas[i, SHARE] * (now[3] + C[i] * h * rate[3])
+        impulse += h * B[i] * gas[i, SHARE] * (flow + C[i] * h * rate[3])
     return min(end, parameters.gas[v]), impulse

@@ -85,9 +85,8 @@ def drift(x, spent, stages, parameters, ground, windows, start, end):
             if b <= a:
                 continue
             h = b - a
-            now = value[v, i] + slope[v, i] * (a - cuts[v, i])
-            rate = slope[v, i]
-            used[v], pushed = breathe(stages, now, rate, h, parameters, v, used[v])
+            level, rate, since = value[v, i], slope[v, i], a - cuts[v, i]
+            used[v], pushed = breathe(stages, level, rate, since, h, parameters, v, used[v])
             impulse[v] += pushed
             if parameters.grip[v, 0] > 0.0:
                 slide(x[v], h, parameters.grip[v])

@@ -61,7 +61,7 @@ def shoot(x0, used0, begin, marks, schedule, parameters, ground, in_table):
                     c, s = np.cos(angle), np.sin(angle)
                     now[0], now[1] = c * now[0] + s * now[1], c * now[1] - s * now[0]
                     rate[0], rate[1] = c * rate[0] + s * rate[1], c * rate[1] - s * rate[0]
-                used, _ = breathe(stages, now, rate, end - t, parameters, 0, used)
+                used, _ = breathe(stages, now, rate, 0.0, end - t, parameters, 0, used)
                 drag, spin_drag = parameters.drag[0], parameters.spin_drag[0]
                 step(x, end - t, stages, drag, spin_drag, parameters.hose[0], ground)
                 t = end

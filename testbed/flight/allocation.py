@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
 from testbed.core.jets import effect_matrix, opposing_pairs
+from testbed.core.scratch import scratch
 from testbed.core.vehicle import Jet, Point, Vehicle
 
 Array = NDArray[np.float64]
@@ -41,15 +42,14 @@ class AllocatorParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @compiled
-def inverse_3x3(m):
-    """Inverse of a 3 x 3 matrix by cofactors."""
-    inv = np.empty((3, 3))
+def invert_3x3(m, inv):
+    """Write the inverse of a 3 x 3 matrix to `inv`, by cofactors."""
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         for a in range(3):
             b, c = (a + 1) % 3, (a + 2) % 3
             inv[a, i] = m[j, b] * m[k, c] - m[j, c] * m[k, b]
-    return inv / (m[0, 0] * inv[0, 0] + m[0, 1] * inv[1, 0] + m[0, 2] * inv[2, 0])
+    inv /= m[0, 0] * inv[0, 0] + m[0, 1] * inv[1, 0] + m[0, 2] * inv[2, 0]
 
 
 @compiled
@@ -70,13 +70,11 @@ def simplex(columns, cost, upper, basis):
     basic = np.zeros(n, dtype=np.bool_)
     for i in range(3):
         basic[basis[i]] = True
-    base = np.empty((3, 3))
-    price = np.empty(3)
-    move = np.empty(3)
+    base, inverse, price, move = scratch((3, 3)), scratch((3, 3)), scratch(3), scratch(3)
     for iteration in range(60 * n):
         for i in range(3):
             base[:, i] = columns[:, basis[i]]
-        inverse = inverse_3x3(base)
+        invert_3x3(base, inverse)
         for i in range(3):
             price[i] = 0.0
             for k in range(3):
@@ -147,25 +145,29 @@ def duties(effect, gas, ceiling, wrench, torque_first):
     """
     n = effect.shape[1]
     # scale the rows, so that tolerances are the same for newtons and newton metres
-    columns = np.zeros((3, n + 5))
+    columns, cost, upper = scratch((3, n + 5)), scratch(n + 5), scratch(n + 5)
+    columns[:], cost[:], upper[:] = 0.0, 0.0, 0.0
     for i in range(3):
-        scale = np.max(np.abs(effect[i]))
+        scale = 0.0
+        for j in range(n):
+            scale = max(scale, abs(effect[i, j]))
         scale = 1.0 / scale if scale > 0.0 else 1.0
-        columns[i, :n] = effect[i] * scale
+        for j in range(n):
+            columns[i, j] = effect[i, j] * scale
         part = n + 1 if torque_first == (i == 2) else n
         columns[i, part] = -wrench[i] * scale
         columns[i, n + 2 + i] = 1.0
-    cost = np.zeros(n + 5)
-    cost[:n] = gas / np.max(gas)
-    upper = np.zeros(n + 5)
-    upper[:n] = ceiling
+    dearest = np.max(gas)
+    for j in range(n):
+        cost[j], upper[j] = gas[j] / dearest, ceiling[j]
     for j, worth in (
         (n, WORTH_LESS),
         (n + 1, WORTH_MORE),
     ):  # s |w| instead of s: columns of length 1
-        length = np.sqrt(np.sum(columns[:, j] * columns[:, j]))
+        length = np.sqrt(columns[0, j] ** 2 + columns[1, j] ** 2 + columns[2, j] ** 2)
         if length > 0.0:
-            columns[:, j] /= length
+            for i in range(3):
+                columns[i, j] /= length
             cost[j] = -worth
             upper[j] = length
     return simplex(columns, cost, upper, np.array([n + 2, n + 3, n + 4]))[:n]
@@ -174,8 +176,11 @@ def duties(effect, gas, ceiling, wrench, torque_first):
 @compiled
 def one_sided(effect, gas, share, wrench, torque_first, opposing):
     """`duties` at this share of each thrust; no pair of `opposing` (n, 2) has both jets open."""
-    weakened = effect * share
-    ceiling = np.ones(effect.shape[1])
+    weakened, ceiling = scratch(effect.shape), scratch(effect.shape[1])
+    for j in range(effect.shape[1]):
+        ceiling[j] = 1.0
+        for i in range(3):
+            weakened[i, j] = effect[i, j] * share[j]
     while True:
         duty = duties(weakened, gas, ceiling, wrench, torque_first)
         shut = -1

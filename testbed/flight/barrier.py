@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 from testbed.core.codes import Hazard, Intervention
 from testbed.core.compiled import compiled, settled
 from testbed.core.rows import States
+from testbed.core.scratch import scratch
 from testbed.core.table import Obstacle
 from testbed.core.types import State
 from testbed.core.vehicle import NonNegative, Positive
@@ -141,7 +142,7 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         obstacle that moves does not count: it reaches a vehicle that stops, see escape.py.
     """
     n = discs.shape[0]
-    planes = np.empty((n + 5, 4))
+    planes = scratch((n + 5, 4))
     count, spare = 0, np.inf
     ahead, hard = 0.5 * limits.period, thrust_scale * limits.hard
     speed = np.sqrt(vx * vx + vy * vy)

@@ -9,6 +9,7 @@ flight looks like weak jets, so then the estimate begins anew.
 import numpy as np
 
 from testbed.core.compiled import compiled
+from testbed.core.scratch import scratch
 
 MEMORY_S = 120.0  # time constant of forgetting [s]
 SPREAD = 0.3  # of a jet's share before anything is heard of it, one sigma
@@ -50,7 +51,7 @@ def resolve(slow, sure, slope, off, sigma):
         sigma: shape (jets,).
     """
     m, n = slow.shape[0], off.shape[0]
-    root, inverse = np.zeros((m, m)), np.zeros((m, m))
+    root, inverse = scratch((m, m)), scratch((m, m))
     for i in range(m):
         for k in range(i + 1):
             total = slow[i, k]

@@ -18,7 +18,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, keep, pasted
+from testbed.core.compiled import compiled, pasted
+from testbed.core.scratch import scratch
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import NonNegative, Positive
@@ -98,8 +99,7 @@ def predict_mean(x, fired, model, start, end, flown):
     integral [s^2], (2, n), if it does what is commanded.
     """
     steps = int(np.ceil((end - start) / SUB_STEP - 1e-9))
-    memory = np.empty(model.effect.shape[1])
-    flow = borrowed(memory)
+    flow = scratch(model.effect.shape[1])
     for k in range(steps):
         a = start + (end - start) * k / steps
         b = start + (end - start) * (k + 1) / steps
@@ -118,7 +118,6 @@ def predict_mean(x, fired, model, start, end, flown):
         for j in range(flow.shape[0]):
             flown[1, j] += h * (flown[0, j] + 0.5 * flow[j])
             flown[0, j] += flow[j]
-    keep(memory)
 
 
 @compiled
@@ -308,8 +307,8 @@ def predict(model, m, fired, t, now, state):
     state.known = m.started
     if m.started == 0:
         return
-    copies = m.x.copy(), np.zeros((2, fired.gives.shape[0]))
-    x, ahead = borrowed(copies)
+    x, ahead = scratch(m.x.shape[0]), scratch((2, fired.gives.shape[0]))
+    x[:], ahead[:] = m.x, 0.0
     predict_mean(x, fired, model, m.t, t, ahead)
     state.t = t
     state.x, state.y, state.theta = x[0], x[1], wrap_compiled(x[2])
@@ -317,4 +316,3 @@ def predict(model, m, fired, t, now, state):
     state.ax, state.ay = x[6] - model.drag * x[3], x[7] - model.drag * x[4]
     state.alpha = x[8] - model.spin_drag * x[5]
     state.pose_age, state.rejected = now - m.newest, int(m.refused)
-    keep(copies)

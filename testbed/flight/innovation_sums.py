@@ -20,7 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, keep
+from testbed.core.compiled import compiled
+from testbed.core.scratch import scratch
 from testbed.flight.hypotheses import LEAK, WEAK, score
 from testbed.flight.window import forget, suspect_jets, width_of
 
@@ -124,9 +125,10 @@ def add(sums, seen, acts):
         acts: of each axis, see `learn`, (3, 3, columns).
     """
     m, count, weight = sums.z.shape[0], sums.told.shape[2], seen.weight
-    memory = np.empty((6, count)), np.empty((3, 3 * BEGINNINGS)), np.zeros(3 * BEGINNINGS)
-    each, fades, nothing = borrowed(memory)
-    since_start, x = each[:3], each[3:]
+    since_start = scratch((3, count))
+    x0, x1, x2 = scratch(count), scratch(count), scratch(count)
+    fades, nothing = scratch((3, 3 * BEGINNINGS)), scratch(3 * BEGINNINGS)
+    nothing[:] = 0.0
     for axis in range(3):
         act = acts[axis]
         speeds, ways, shows = act[0, m:], act[1, m:], act[2, m:]
@@ -137,31 +139,36 @@ def add(sums, seen, acts):
         first += seen.g[1, q] * seen.gain_z[0, q]
         second += seen.g[2, q] * seen.gain_z[0, q]
         both += seen.g[2, q] * seen.gain_z[1, q]
-    x0, x1, x2 = x[0], x[1], x[2]
     w0, w1, w2 = weight[0], weight[1], weight[2]
     e0, e1, e2 = w0 * seen.left[0], w1 * seen.left[1], w2 * seen.left[2]
     for b in range(BEGINNINGS):
         own, fits = sums.told[b, 0], sums.told[b, 1]
-        for axis in range(3):
-            whole, rest, before = since_start[axis], x[axis], sums.before[b, axis]
-            f0, f1, f2 = fades[axis, 3 * b], fades[axis, 3 * b + 1], fades[axis, 3 * b + 2]
-            for i in range(count):
-                rest[i] = whole[i] - (f0 * before[0, i] + f1 * before[1, i] + f2 * before[2, i])
-        take_out(sums.changed[b], seen.g, x)
+        subtract(since_start[0], fades[0, 3 * b :], sums.before[b, 0], x0)
+        subtract(since_start[1], fades[1, 3 * b :], sums.before[b, 1], x1)
+        subtract(since_start[2], fades[2, 3 * b :], sums.before[b, 2], x2)
+        take_out(sums.changed[b], seen.g, x0, x1, x2)
         for i in range(count):
             x1[i] -= first * x0[i]
             x2[i] -= second * x0[i] + both * x1[i]
+        for i in range(count):
             own[i] += w0 * x0[i] * x0[i] + w1 * x1[i] * x1[i] + w2 * x2[i] * x2[i]
+        for i in range(count):
             fits[i] += e0 * x0[i] + e1 * x1[i] + e2 * x2[i]
-        change(sums.changed[b], seen.gain_z, x)
-    keep(memory)
+        change(sums.changed[b], seen.gain_z, x0, x1, x2)
 
 
 @compiled
-def take_out(changed, g, x):
+def subtract(whole, fades, before, x):
+    """Write to `x` what is left of `whole` without what fades of `before`, (3, count)."""
+    f0, f1, f2 = fades[0], fades[1], fades[2]
+    for i in range(x.shape[0]):
+        x[i] = whole[i] - (f0 * before[0, i] + f1 * before[1, i] + f2 * before[2, i])
+
+
+@compiled
+def take_out(changed, g, x0, x1, x2):
     """Take out of x what the parameters explain of it, g'r; four of them at a time."""
     m, count = changed.shape
-    x0, x1, x2 = x[0], x[1], x[2]
     for q in range(0, m - m % 4, 4):
         a0, a1, a2, a3 = g[0, q], g[0, q + 1], g[0, q + 2], g[0, q + 3]
         b0, b1, b2, b3 = g[1, q], g[1, q + 1], g[1, q + 2], g[1, q + 3]
@@ -172,18 +179,17 @@ def take_out(changed, g, x):
             x1[i] -= b0 * r0[i] + b1 * r1[i] + b2 * r2[i] + b3 * r3[i]
             x2[i] -= c0 * r0[i] + c1 * r1[i] + c2 * r2[i] + c3 * r3[i]
     for q in range(m - m % 4, m):
-        r0 = changed[q]
+        r0, a0, b0, c0 = changed[q], g[0, q], g[1, q], g[2, q]
         for i in range(count):
-            x0[i] -= g[0, q] * r0[i]
-            x1[i] -= g[1, q] * r0[i]
-            x2[i] -= g[2, q] * r0[i]
+            x0[i] -= a0 * r0[i]
+            x1[i] -= b0 * r0[i]
+            x2[i] -= c0 * r0[i]
 
 
 @compiled
-def change(changed, gain, x):
+def change(changed, gain, x0, x1, x2):
     """Let the parameters follow what is left of x."""
     m, count = changed.shape
-    x0, x1, x2 = x[0], x[1], x[2]
     for q in range(m):
         r, a, b, c = changed[q], gain[0, q], gain[1, q], gain[2, q]
         for i in range(count):
@@ -272,8 +278,7 @@ def weigh(p, m, sums, flow):
     n, weak, leak = sums.ways.shape[0], m.weak.jet, m.leak.jet
     forget(m)
     sure = 1.0 / max(1.0, m.noise)
-    memory = np.empty((2, columns))
-    own, fits = borrowed((memory[0], memory[1]))
+    own, fits = scratch(columns), scratch(columns)
     most, m.began = 0.0, BEGINNINGS - 1
     for b in range(BEGINNINGS):
         for h in range(columns):
@@ -293,4 +298,3 @@ def weigh(p, m, sums, flow):
     m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
     left = max(0.0, m.squares - 2.0 * most / sure)
     m.noise = max(1.0, (BELIEVED + left) / (BELIEVED + m.heard))
-    keep(memory)

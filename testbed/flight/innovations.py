@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, keep
+from testbed.core.compiled import compiled
+from testbed.core.scratch import scratch
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import Vehicle
@@ -155,24 +156,27 @@ def look(p, m, sums, flown, model, thrust_scale):
     n, span = flown.shape[1], m.t - m.since
     one, two = m.at[0] / m.poses, 0.5 * m.at[1] / m.poses  # mean time, half its mean square
     z, count = sums.z.shape[0], sums.told.shape[2]
-    memory = np.zeros((3, 3, z + count)), np.empty((3, n)), np.empty((6, z))
-    three = np.empty((3, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    acts, gone, of_z = borrowed(memory)
-    all_see, all_step, gains, left, weight = borrowed(three)
-    seen = Look(all_see, all_step, gains, of_z[:3], of_z[3:], left, weight)
-    gone[0], gone[1], gone[2] = flown[0], flown[1], sums.ways / m.poses
+    acts, gone = scratch((3, 3, z + count)), scratch((3, n))
+    push, shaken = scratch((3, 3)), scratch(2)  # the latter: variance by pulses, see below
+    seen = Look(
+        scratch((3, 2)), scratch((3, 3)), scratch((3, 3)), scratch((3, z)), scratch((3, z)),
+        scratch(3), scratch(3),
+    )  # fmt: skip
+    gone[0], gone[1] = flown[0], flown[1]
+    for j in range(n):
+        gone[2, j] = sums.ways[j] / m.poses
     whole = span, 0.5 * span * span, two
     for kind in range(3):
         for j in range(n):
             shut = whole[kind] - gone[kind, j]
             gone[kind, j] = sums.gives[j] * gone[kind, j] + sums.leaks[j] * shut
-    push = effects(p, m, model, thrust_scale, gone, whole, acts)
+    effects(p, m, model, thrust_scale, gone, whole, acts, push)
     m.looks += 1
     age(p, m, sums)
     speed = np.hypot(m.x[0, 1], m.x[1, 1])
     for axis in range(3):
         state, cov, both = m.x[axis], m.cov[axis], acts[axis]
-        shaken = np.zeros(2)  # variance by pulses, of velocity and of the mean pose
+        shaken[:] = 0.0  # of velocity and of the mean pose
         for j in range(n):
             shaken[0] += (p.pulse * both[0, j]) ** 2
             shaken[1] += (p.pulse * both[2, j]) ** 2
@@ -190,11 +194,11 @@ def look(p, m, sums, flown, model, thrust_scale):
         if outside:
             noise, gain = np.inf, (0.0, 0.0, 0.0)
         for i in range(3):
-            all_step[axis, i], gains[axis, i] = steps[i], gain[i]
-        all_see[axis, 0], all_see[axis, 1] = sees
+            seen.steps[axis, i], seen.gain[axis, i] = steps[i], gain[i]
+        seen.sees[axis, 0], seen.sees[axis, 1] = sees
         learn(sums, seen, axis, both, error, noise)
         m.heard += 0.0 if outside else 1.0
-        m.squares += weight[axis] * left[axis] * left[axis]
+        m.squares += seen.weight[axis] * seen.left[axis] * seen.left[axis]
         for i in range(3):
             state[i] += gain[i] * error
             for k in range(3):
@@ -212,14 +216,11 @@ def look(p, m, sums, flown, model, thrust_scale):
     add(sums, seen, acts)
     weigh(p, m, sums, gone[0])
     begin_look(m, sums, flown)
-    keep((memory, three))
 
 
 @compiled
-def effects(p, m, model, thrust_scale, gone, whole, acts):
-    """Write what a unit of each parameter and cause gives in a look.
-
-    Returns what the jets give, (3, 3): velocity, way and mean pose of each axis.
+def effects(p, m, model, thrust_scale, gone, whole, acts, push):
+    """Write what a unit of each parameter and cause gives in a look, and what the jets give.
 
     Args:
         p: Known.
@@ -228,10 +229,11 @@ def effects(p, m, model, thrust_scale, gone, whole, acts):
         thrust_scale: of the thrust at the supply pressure.
         gone: of each jet: impulse, its integral to the end of the look, and to its poses, (3, n).
         whole: the same of a constant unit push.
-        acts: zeros; written, (3, 3, m + columns): for each axis velocity, way and mean pose.
+        acts: written, (3, 3, m + columns): for each axis velocity, way and mean pose.
+        push: written, (3, 3): velocity, way and mean pose of each axis.
     """
-    n, push = gone.shape[1], np.zeros((3, 3))
-    z = p.sure.shape[0]
+    n, z = gone.shape[1], p.sure.shape[0]
+    acts[:], push[:] = 0.0, 0.0
     other = z + 2 * n  # place of the first cause that is not a jet
     theta = m.x[2, 0] + 0.5 * whole[0] * m.x[2, 1]
     c, s = np.cos(theta), np.sin(theta)
@@ -262,7 +264,6 @@ def effects(p, m, model, thrust_scale, gone, whole, acts):
             act[axis, other + SLOWED] = -whole[kind] * p.pads[axis // 2] * speed
             for d in range(DELAYS if kind == 2 else 0):  # the poses show where it was
                 act[axis, other + DELAYED + d] = -(d + 1) * p.period * speed
-    return push
 
 
 @compiled

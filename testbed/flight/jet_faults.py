@@ -28,8 +28,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, keep, pasted
+from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
+from testbed.core.scratch import scratch
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight import innovation_sums, innovations
@@ -176,10 +177,10 @@ def pause_windows(p, m, heard):
 
 
 @compiled
-def residual(before, now, duty, thrust_scale, known, heard, look):
-    """Causes of the motion since the last look, and, as the last column, what is unexplained of it.
+def residual(before, now, duty, thrust_scale, known, heard, look, late):
+    """Write the causes of the motion since the last look, and what is unexplained of it, to `late`.
 
-    Shape (3, m + n + COLUMNS + 1).
+    That is its last column; it has the shape (3, m + n + COLUMNS + 1).
     """
     n, period, shown = duty.shape[0], known.period, known.shown
     looks, m = shown.shape[0], duty.shape[0] + 4
@@ -191,13 +192,13 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
     level = period * thrust_scale / (1.0 + known.droop * max(0.0, open_jets - 1.0))
     fresh = heard.recent[look % looks]
     fresh[:] = 0.0
-    e = np.empty(3)
+    e, push = scratch(3), scratch(3)
+    push[:] = 0.0
     slowed, unspun = 0.5 * period * known.drag, 0.5 * period * known.spin_drag
     e[0] = now[1] - before[1] - period * heard.bias[0] + slowed * (before[1] + now[1])
     e[1] = now[2] - before[2] - period * heard.bias[1] + slowed * (before[2] + now[2])
     e[2] = now[3] - before[3] + unspun * (before[3] + now[3])
     push_x = push_y = 0.0
-    push = np.zeros(3)
     for j in range(n):
         ax, ay = known.effect[0, j], known.effect[1, j]
         whole = (level * (c * ax - s * ay), level * (s * ax + c * ay), level * known.effect[2, j])
@@ -214,7 +215,7 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
     fresh[0, n + 2] = fresh[1, n + 3] = period
     causes(fresh, m + n, push, before, now, period, known.pads, heard.recent, look)
     rows = fresh.shape[1]
-    late = np.zeros((3, rows + 1))
+    late[:] = 0.0
     for axis in range(3):
         most = known.most[0] if axis < 2 else known.most[1]
         late[axis, rows] = min(max(e[axis], -most), most)
@@ -222,7 +223,6 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
             then, part = heard.recent[(look - q) % looks], shown[q, axis // 2]
             for i in range(rows):
                 late[axis, i] += part * then[axis, i]
-    return late
 
 
 @compiled
@@ -237,12 +237,11 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         duty: share of the time since the last one for which each jet flowed, shape (n,).
         thrust_scale: of the thrust at the supply pressure.
     """
-    own = residual(m.before, now, duty, thrust_scale, known, heard, m.look)
-    x = borrowed(own)
+    x = scratch((3, heard.sums.shape[1]))
+    residual(m.before, now, duty, thrust_scale, known, heard, m.look, x)
     near, bias = heard.near, heard.bias
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         forget(m)
-        keep(own)
         return
     sums = heard.sums
     for axis in range(3):
@@ -271,7 +270,6 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     m.summed += 1
     if m.summed == known.long:
         weigh_long(known, m, heard)
-    keep(own)
 
 
 @compiled
@@ -279,11 +277,11 @@ def weigh_short(known, m, heard):
     """Keep what the window of looks says in `m`, at the end of each block."""
     forget(m)
     slope = known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * m.counted)
-    root = factor(heard.near.told, known.sure, 1.0 / slope)
-    least, y = borrowed(root)
+    z = known.sure.shape[0]
+    least, y = scratch((z, z)), scratch(z)
+    factor(heard.near.told, known.sure, 1.0 / slope, least, y)
     decide(heard.near, least, y, known.period, False, m)
     judge(heard.nudges.near, least, y, m)
-    keep(root)
 
 
 @compiled
@@ -316,12 +314,12 @@ def weigh_long(known, m, heard):
     weight = 1.0 / (far.spread[0] + rough), 1.0 / far.spread[1]
     hear_long(heard.nudges.far, known.shown, m.look, known.long, weight, remembers, heard.sums)
     slope = known.bumps * known.bumps + known.slope * known.slope
-    root = factor(far.told, known.sure, 1.0 / slope)
-    least, y = borrowed(root)
+    z = known.sure.shape[0]
+    least, y = scratch((z, z)), scratch(z)
+    factor(far.told, known.sure, 1.0 / slope, least, y)
     m.began = decide(far, least, y, known.period, True, m.far)
     judge(heard.nudges.far, least, y, m.far)
     m.summed, heard.sums[:] = 0, 0.0
-    keep(root)
 
 
 def slopes(tilt: Tilt) -> tuple[float, float]:

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, keep
+from testbed.core.compiled import compiled
+from testbed.core.scratch import scratch
 from testbed.flight.hypotheses import NUDGE, gained
 from testbed.flight.window import suspect
 
@@ -56,8 +57,7 @@ def add(columns, place, parts, weight, x):
 def judge(columns, least, y, found):
     """Write the nudge that explains most to `found`, a record of VERDICT."""
     count = columns.shape[1] // 3
-    memory = np.empty((6, 3 * count))
-    parts, fits, own = borrowed((memory[:4], memory[4], memory[5]))
+    parts, fits, own = scratch((4, 3 * count)), scratch(3 * count), scratch(3 * count)
     suspect(columns, least, y, parts, fits, own)
     for h in range(count):
         x, gain_x = gained(fits[h], own[h], -MOST, MOST)
@@ -66,7 +66,6 @@ def judge(columns, least, y, found):
         gain = gain_x + gain_y + turn[1] - UNKNOWN
         if gain > found.gains[NUDGE]:
             found.gains[NUDGE], found.sizes[NUDGE] = gain, np.sqrt(x * x + y_ * y_)
-    keep(memory)
 
 
 @compiled

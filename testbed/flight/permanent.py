@@ -13,7 +13,8 @@ was sure of a cause that began in flight, causes that were there before are refu
 
 from typing import Any
 
-from testbed.core.compiled import borrowed, compiled, keep
+from testbed.core.compiled import compiled, keep
+from testbed.core.scratch import scratch
 from testbed.flight import hypotheses
 from testbed.flight.bad_jet import NEAR
 from testbed.flight.hypotheses import (
@@ -76,15 +77,16 @@ def hear(p, m, window, heard, far):
         window.told * sure, window.blocks * sure, window.worth, window.newest, window.spread,
         window.last,
     )  # fmt: skip
-    root = factor(weighed.told, p.sure, 1.0 / (p.bumps * p.bumps + p.slope * p.slope))
-    least, y = borrowed(root)
+    z, slope = p.sure.shape[0], p.bumps * p.bumps + p.slope * p.slope
+    least, y = scratch((z, z)), scratch(z)
+    factor(weighed.told, p.sure, 1.0 / slope, least, y)
     forget(m)
     decide(weighed, least, y, p.period, True, m)
     m.gains[NUDGE], m.sizes[NUDGE] = far.gains[NUDGE], far.sizes[NUDGE]
     best = max(m.gains[:NUDGE].max(), 0.0)
     left = max(0.0, sure * m.squares - (y * y).sum() - 2.0 * best) / sure
     m.noise = (BELIEVED * SPREAD * SPREAD + left) / (BELIEVED + 3.0 * m.sums)
-    keep((weighed, root))
+    keep(weighed)
 
 
 @compiled

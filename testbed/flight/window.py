@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, inlined, keep
+from testbed.core.compiled import compiled, inlined
+from testbed.core.scratch import scratch
 from testbed.flight.hypotheses import COLUMNS, KINDS, LEAK, WEAK, score
 from testbed.flight.record import Kind, record
 
@@ -123,16 +124,19 @@ def listen(window, x, trust, keep, rough, white):
 
 
 @compiled
-def factor(told, sure, slope):
-    """L^-1 of z'z + 1 / tolerances^2, (m, m), and L^-1 z'e, (m,).
+def factor(told, sure, slope, least, y):
+    """Write L^-1 of z'z + 1 / tolerances^2 to `least`, (m, m), and L^-1 z'e to `y`, (m,).
 
     Args:
         told: see Window.
         sure: 1 / tolerance^2 of z, (m,).
         slope: the same of the slope, the last two of z.
+        least: written.
+        y: written.
     """
     m = told.shape[0]
-    root, least, y = np.zeros((m, m)), np.zeros((m, m)), np.zeros(m)
+    root = scratch((m, m))
+    least[:], y[:] = 0.0, 0.0
     for i in range(m):
         for k in range(i + 1):
             total = told[i, k]
@@ -149,7 +153,6 @@ def factor(told, sure, slope):
             least[i, h] = total * root[i, i]
         for q in range(i + 1):
             y[i] += least[i, q] * told[q, m]
-    return least, y
 
 
 @inlined
@@ -252,8 +255,9 @@ def decide(window, least, y, period, every, found):
     """
     blocks, worth, now = window.blocks, window.worth, int(window.newest[0])
     m, n, count = y.shape[0], y.shape[0] - 4, blocks.shape[2]
-    sums, memory = np.zeros((m + 2, count)), np.empty((6, count))
-    since, parts, fits, own = borrowed((sums, memory[:4], memory[4], memory[5]))
+    since, parts = scratch((m + 2, count)), scratch((4, count))
+    fits, own = scratch(count), scratch(count)
+    since[:] = 0.0
     began, best = 0, 0.0
     for k in range(blocks.shape[0]):
         place = (now + k) % blocks.shape[0]
@@ -272,7 +276,6 @@ def decide(window, least, y, period, every, found):
             began, best = k, gain
     found.gains[LEAK], found.sizes[LEAK] = found.leak.gain, found.leak.share
     found.gains[WEAK], found.sizes[WEAK] = found.weak.gain, found.weak.share
-    keep((sums, memory))
     return began
 
 

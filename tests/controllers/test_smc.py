@@ -14,7 +14,8 @@ PAPER = SmcParams()
 def eq44(params, own, neighbours, world):
     """The force of Eq. (44) with the goal's acceleration for the misprinted r_d."""
     d = len(own.p)
-    _, g = gradient(potential(params.potential, d), own, np.zeros(d), neighbours, world)
+    e, g = np.empty((2, 3, d))
+    gradient(potential(params.potential, d), own, np.zeros(d), neighbours, world, e, g)
     k = np.array(params.k)[:d]
     e_dot = own.v - world.goal.v
     s = k * g[0] + e_dot

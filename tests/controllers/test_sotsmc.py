@@ -30,7 +30,8 @@ SAT_2 = ([-243.3, -250.0, -110.0], -HEXAGON, [[-163.3, -185.0, -70.0], [-123.3, 
 def eq28(params, law_state, own, neighbours, world):
     """Time derivative of (u, d_m), Eqs. (15), (22), (24), (28), for gains that are numbers."""
     u, bound = law_state[:-1], law_state[-1]
-    e, g = gradient(potential(params.potential, len(u)), own, u, neighbours, world)
+    e, g = np.empty((2, 3, len(u)))
+    gradient(potential(params.potential, len(u)), own, u, neighbours, world, e, g)
     lam, k, beta, ratio = params.surface, params.k, params.beta, params.p / params.q
 
     def power(x, a):

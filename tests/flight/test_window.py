@@ -93,8 +93,9 @@ def test_a_cause_that_began_later_keeps_its_beginning(after):
         x[:2, -1] = hose + 1e-3 * rng.normal(size=2)
         listen(window, x, 0.0, 0.975, 0.0, 2.6)
         forget(found)
-        root = factor(window.told, np.full(M, 400.0), 1.0 / 4e-6)
-        began = decide(window, *root, 0.1, True, found)
+        least, y = np.empty((M, M)), np.empty(M)
+        factor(window.told, np.full(M, 400.0), 1.0 / 4e-6, least, y)
+        began = decide(window, least, y, 0.1, True, found)
     assert began == min(after - 1, BLOCKS - 2)
     assert found.gains[PULL] > found.gains[THRUST] + 3.0
     assert found.way == pytest.approx(pull, abs=1e-3)
@@ -106,7 +107,8 @@ def test_suspicions_are_what_is_left_without_the_uncertain_parameters(m):
     z, x, e = rng.normal(size=(40, m)), rng.normal(size=(40, 11)), rng.normal(size=40)
     sure, slope = rng.uniform(1.0, 9.0, m), 0.3
     told = np.column_stack((z.T @ z, z.T @ e))
-    least, y = factor(told, sure, slope)
+    least, y = np.empty((m, m)), np.empty(m)
+    factor(told, sure, slope, least, y)
     since = np.vstack((z.T @ x, (x * x).sum(axis=0), x.T @ e))
     fits, own = np.empty(11), np.empty(11)
     suspect(since, least, y, np.empty((4, 11)), fits, own)

@@ -12,6 +12,7 @@ from testbed.core.bundle import unpacked
 from testbed.core.codes import Response
 from testbed.core.compiled import compiled
 from testbed.core.rows import SETPOINT_WIDTH, References, States
+from testbed.core.scratch import scratch
 from testbed.core.types import ALL_WELL, Health
 from testbed.flight.record import NO_SETPOINT
 from testbed.flight.reference_model import next_setpoint
@@ -144,7 +145,7 @@ def say(ports, table, k):
     openings = play(ports.wires, now, now + ports.period, whole)
     full = False
     if it.known == 1:
-        state = np.empty(STATE_WIDTH)
+        state = scratch(STATE_WIDTH)
         state[0], state[1], state[2], state[3] = it.t, it.x, it.y, it.theta
         state[4], state[5], state[6] = it.vx, it.vy, it.omega
         state[7], state[8], state[9] = it.ax, it.ay, it.alpha
@@ -220,7 +221,7 @@ def law_tick(ports, table, k, model, t, turn, now):
     for i in range(n):
         if table.vehicles[k, i] != known[i]:
             return DECLINED, unchanged, False
-    row = np.empty(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
+    row = scratch(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
     changed = next_setpoint(model, table.states[k, :n], t, turn, row)
     newest = row.shape[0] - REFERENCE_WIDTH
     if not np.isfinite(row[newest + 1] + row[newest + 2]):
