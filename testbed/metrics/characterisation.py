@@ -30,7 +30,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 
-from testbed.core.extent import largest_extent
+from testbed.core.extent import LEAF, largest_extent
 
 Array = NDArray[np.float64]
 
@@ -86,6 +86,35 @@ def characterise(
     return Characterisation(
         len(x), tuple(middle.tolist()), tuple(v.mean(axis=0).tolist()), outer, gap, evenness
     )
+
+
+def characterise_each(positions: Array, velocities: Array) -> list[Characterisation]:
+    """The same for a group at several times, to the last bit; a few satellites in one go.
+
+    Args:
+        positions: at each time, shape (m, n, d) [m].
+        velocities: the same shape [m/s].
+    """
+    x, (_, n, _) = positions, positions.shape
+    finite = np.isfinite(x).all() and np.isfinite(velocities).all()
+    if not 1 < n <= LEAF or not finite:
+        return [characterise(*both) for both in zip(positions, velocities, strict=True)]
+    middle, i, (p, q) = x.mean(axis=1), np.arange(n), np.triu_indices(n, 1)
+    outer = np.linalg.norm(x - middle[:, None], axis=2).max(axis=1)  # Eq. (3)
+    apart = np.linalg.norm(x[:, :, None] - x[:, None], axis=3)
+    pairs = apart[:, p, q]
+    apart[:, i, i] = np.inf
+    half = apart.min(axis=2) / 2.0  # m_i, Eq. (6)
+    extent = (pairs + half[:, p] + half[:, q]).max(axis=1) / 2.0  # M, Eq. (8)
+    shares = np.divide(half, extent[:, None], out=np.zeros_like(half), where=extent[:, None] > 0.0)
+    columns = (
+        middle.tolist(), velocities.mean(axis=1).tolist(), outer.tolist(),
+        pairs.min(axis=1).tolist(), np.sum(shares**3, axis=1).tolist(),
+    )  # fmt: skip
+    return [
+        Characterisation(n, tuple(p), tuple(v), *numbers)
+        for p, v, *numbers in zip(*columns, strict=True)
+    ]
 
 
 def extremes(positions: Array, radii: Array) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """One run: fly the experiment on its rig, write the log, judge the flight."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,7 @@ from testbed.logs.recorder import (
     Truth,
 )
 from testbed.logs.tick_row import Names
-from testbed.metrics.characterisation import Characterisation, characterise
+from testbed.metrics.characterisation import Characterisation, characterise_each
 from testbed.metrics.run_metrics import Metrics, ReferenceLog, with_jets
 from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
@@ -112,19 +112,22 @@ class FlightLog:
         while span.times:
             n = self._recorder.due_in(span.times)
             part, span = span.part(0, n), span.part(n, len(span.times))
-            found = ((t, self._elements(t, x)) for t, x in zip(part.times, part.truth, strict=True))
-            elements = {t: one for t, one in found if one is not None}
+            elements = self._elements(part.times, part.truth)
             self._write(partial(self._recorder.write_span, part, "/formation", elements))
             self._mark(part.times[-1])
         self.reports()
 
-    def _elements(self, t: float, x: Array) -> Characterisation | None:
-        """The five elements of the true states `x`, (v, 6), if it is time to log them."""
-        if len(x) < 2 or t < self._next:
-            return None
-        self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
-        states = x[:, [0, 1, 3, 4]]
-        return characterise(states[:, :2], states[:, 2:])
+    def _elements(self, times: Sequence[float], x: Array) -> dict[float, Characterisation]:
+        """The five elements of the true states `x`, (n, v, 6), at the times to log them."""
+        due = []
+        for k, t in enumerate(times):
+            if x.shape[1] > 1 and t >= self._next:
+                self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
+                due.append(k)
+        if not due:
+            return {}
+        found = characterise_each(x[due][:, :, :2], x[due][:, :, 3:5])
+        return {times[k]: one for k, one in zip(due, found, strict=True)}
 
     def reports(self) -> None:
         """Log what boards, wires and the supervisor have reported since the last call."""
@@ -162,9 +165,8 @@ class FlightLog:
         heartbeat().beat()
         truth = dict(self._rig.truth())
         self._record("/truth", t, Truth(t, {name: Motion(*x) for name, x in truth.items()}))
-        elements = self._elements(t, np.array(list(truth.values())).reshape(-1, 6))
-        if elements is not None:
-            self._record("/formation", t, elements)
+        for one in self._elements([t], np.array([*truth.values()]).reshape(1, -1, 6)).values():
+            self._record("/formation", t, one)
         self.reports()
         if (loop := self._rig.loop) is not None:
             self._record("/loop", t, Loop(t, *loop))

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
-from testbed.metrics.characterisation import characterise, extremes, ring_uniformity
+from testbed.metrics.characterisation import (
+    characterise,
+    characterise_each,
+    extremes,
+    ring_uniformity,
+)
 
 
 def ring(count, radius=1.0, phase=0.0):
@@ -244,3 +249,19 @@ def test_the_papers_spherical_space_is_denser_than_balls_can_be_packed():
 def test_nonsense_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         characterise(**arguments)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 9, 16, 17])
+@pytest.mark.parametrize("d", [2, 3])
+def test_at_several_times_every_bit_is_the_same(n, d):
+    rng = np.random.default_rng(n)
+    p, v = rng.normal(size=(2, 40, n, d))
+    p[3], p[4, 1:] = 0.25, p[4, :1]  # all in one place; all but one
+    assert characterise_each(p, v) == [characterise(*both) for both in zip(p, v, strict=True)]
+
+
+def test_at_several_times_numbers_must_be_finite_too():
+    p = np.zeros((3, 4, 2))
+    p[1, 2, 0] = np.nan
+    with pytest.raises(ValueError, match="expected finite positions"):
+        characterise_each(p, np.zeros_like(p))
