@@ -19,7 +19,7 @@ def scratch(shape: Any) -> NDArray[np.float64]:
     """An array of this shape, whose numbers are not set.
 
     In compiled code its memory is gone when the function returns. Return no part of it, and call it
-    neither in a loop nor in a function that is `pasted` into one.
+    neither in a loop nor in a function that is `pasted` into one (`inlined` is fine).
     """
     return np.empty(shape)
 
