@@ -352,15 +352,17 @@ def copied(vector, d):
 @inlined
 def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
     """See `propagate`; `d` is the number of axes."""
-    h = duration / steps
+    h, goal = duration / steps, world.goal
     z = jump_of(gains, law_state, own, neighbours, world, t).copy()
     p, v, disturbance = copied(own.p, d), copied(own.v, d), copied(own.disturbance, d)
-    unrest, jerk, goal = copied(own.disturbance_rate, d), copied(world.goal.jerk, d), world.goal
+    disturbance_rate, jerk = copied(own.disturbance_rate, d), copied(goal.jerk, d)
     goal_p, goal_v, goal_a = copied(goal.p, d), copied(goal.v, d), copied(goal.a, d)
     obstacles_p = np.empty((world.obstacles.p.shape[0], d))
     others_p = np.empty((neighbours.p.shape[0], d))
     obstacles_p[:], others_p[:] = world.obstacles.p, neighbours.p
-    body = borrowed(Body(p, v, own.mass, disturbance, unrest, own.max_force, own.vehicle_index))
+    body = borrowed(
+        Body(p, v, own.mass, disturbance, disturbance_rate, own.max_force, own.vehicle_index)
+    )
     others = borrowed(
         Neighbours(
             others_p, neighbours.v, neighbours.radius,
@@ -382,7 +384,7 @@ def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
             a = force[i] / own.mass + disturbance[i]
             p[i] += h * (v[i] + 0.5 * h * a)
             v[i] += h * a
-            disturbance[i] += h * unrest[i]
+            disturbance[i] += h * disturbance_rate[i]
             goal_p[i] += h * (goal_v[i] + 0.5 * h * goal_a[i])
             goal_v[i] += h * goal_a[i]
             goal_a[i] += h * jerk[i]
@@ -393,6 +395,6 @@ def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
         for i in range(z.shape[0]):  # last, because the force may be a view of the law's state
             z[i] += h * z_rate[i]
     message = broadcast_of(gains, state, body, others, scene, t + duration)
-    keep((own, neighbours, world, disturbance, unrest))
+    keep((own, neighbours, world, disturbance, disturbance_rate))
     keep((goal_p, goal_v, goal_a, jerk, obstacles_p, others_p))
     return Ahead(z, p, v, mean_force, message)

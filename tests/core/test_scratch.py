@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, inlined
 from testbed.core.scratch import scratch
 
 
@@ -35,6 +35,21 @@ def below(n):
     return own.sum(), total
 
 
+@inlined
+def tripled(n):
+    own = scratch(3)
+    own[:] = float(n)
+    return own.sum()
+
+
+@compiled
+def added(count):
+    total = 0.0
+    for k in range(count):
+        total += tripled(k)
+    return total
+
+
 @pytest.mark.parametrize("n", [1, 2, 7, 1000])
 def test_several_arrays_do_not_overlap(n):
     plain = getattr(filled, "py_func", filled)
@@ -46,12 +61,17 @@ def test_each_call_has_its_own():
     assert below(100_000)[0] == 100_000.0  # what a call has taken is given back
 
 
+def test_an_inlined_function_may_be_called_in_a_loop():
+    count = 1_000_000  # 24 MB, if it gave nothing back: more than the stack has
+    assert added(count) == 3 * count * (count - 1) // 2
+
+
 def test_rows_begin_where_a_processor_loads_them_at_once():
     @compiled
     def address(n):
-        return scratch(n).ctypes.data + scratch(3).ctypes.data
+        return scratch(n).ctypes.data, scratch(3).ctypes.data
 
-    assert address(5) % 32 == 0
+    assert [place % 32 for place in address(5)] == [0, 0]
 
 
 def test_plain_python_takes_it_from_numpy():
