@@ -15,7 +15,7 @@ DEV := $(VENV)/.installed-dev
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test retest lint check format constraints clean venv firmware mutants fuzz gate
+.PHONY: help demo test retest lint check format constraints clean venv wheel firmware mutants fuzz gate
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -37,6 +37,12 @@ lint: $(DEV)  ## Check format, style, types and the direction of imports
 	@$(BIN)/lint-imports --no-logo
 
 check: lint test  ## Everything CI runs: lint, then test
+
+wheel: $(DEV)  ## Build a wheel with machine code, with which no first flight compiles: 5 minutes
+	@rm -rf testbed/machine_code
+	@trap 'rm -rf testbed/machine_code' EXIT; \
+		$(BIN)/python -m testbed.run.machine_code testbed/machine_code && \
+		$(PIP) wheel -q --no-deps --no-build-isolation -w dist . && ls dist/*.whl
 
 firmware: $(DEV)  ## Build the valve board's image (VEHICLE=configs/vehicles/generic_8jet.toml)
 	@$(BIN)/python -m firmware_interface.compiler $(VEHICLE) build/firmware

@@ -12,22 +12,25 @@ class Topic(Struct, frozen=True, tag=True, array_like=True):
     kind: str  # of its messages, see `core/records`
 
 
-class Entry(Struct, frozen=True, array_like=True, gc=False):
-    """One message of a topic."""
+class Rows(Struct, frozen=True, array_like=True, gc=False):
+    """Messages of several topics at the same times: time by time, in the order of the topics."""
 
-    topic: int
-    stamp: int  # time of the run [ns]
-    data: bytes
+    topics: list[int]
+    stamps: list[int]  # times of the run [ns]
+    data: list[list[bytes]]  # of each topic, one for each time
 
 
-class Entries(Struct, frozen=True, tag=True, array_like=True, gc=False):
+class Messages(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """To the writer: messages in order."""
 
-    entries: list[Entry]
+    rows: list[Rows]
+
+    def __len__(self) -> int:
+        return sum(len(one.topics) * len(one.stamps) for one in self.rows)
 
 
 class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """To the writer: flush, so that a reader can see everything so far."""
 
 
-Frame = Topic | Entries | Mark
+Frame = Topic | Messages | Mark

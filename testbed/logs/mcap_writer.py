@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.frames import READY, Entries, Frame, Mark, Topic
+from testbed.logs.frames import READY, Frame, Mark, Messages, Rows, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
@@ -165,14 +165,9 @@ def write_log(
     try:
         for frame in received:
             match frame:
-                case Entries(entries):
-                    for one in entries:
-                        channel, topic = topics[one.topic]
-                        log.add(channel, one.stamp, one.data)
-                        for name, kind, extra in extras.of(
-                            topic.name, topic.kind, one.stamp, one.data
-                        ):
-                            log.add(log.topic(name, kind), one.stamp, extra)
+                case Messages(several):
+                    for rows in several:
+                        copy(rows, topics, log, extras)
                 case Mark():
                     log.mcap.flush()
                     if warning := disk.check():
@@ -186,6 +181,16 @@ def write_log(
     except OSError:
         file.end()
         raise
+
+
+def copy(rows: Rows, topics: list[tuple[int, Topic]], log: Log, extras: Extras) -> None:
+    """Append messages of these (channels and) topics, and the standard messages beside them."""
+    for stamp, *row in zip(rows.stamps, *rows.data, strict=True):
+        for number, data in zip(rows.topics, row, strict=True):
+            channel, topic = topics[number]
+            log.add(channel, stamp, data)
+            for name, kind, extra in extras.of(topic.name, topic.kind, stamp, data):
+                log.add(log.topic(name, kind), stamp, extra)
 
 
 def finish(writer: Writer, file: File) -> None:

@@ -42,8 +42,8 @@ from msgspec import Struct
 from testbed.core.error import TestbedError
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
-from testbed.logs.block import LARGEST, Block, Columns, Piece
-from testbed.logs.frames import READY, Entries, Entry, Frame, Mark, Topic
+from testbed.logs.block import LARGEST, Block, Column, Columns, Piece
+from testbed.logs.frames import READY, Frame, Mark, Messages, Rows, Topic
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
@@ -214,17 +214,17 @@ class Recorder:
     def _append(self, pieces: Sequence[Piece]) -> None:
         if not self._met:
             self.meet()
-        entries = []
+        rows = []
         for piece in pieces:
             if isinstance(piece, Columns):
-                numbers = [self._number(one.topic, one.kind) for one in piece.columns]
-                for t, *row in zip(piece.times, *(one.data for one in piece.columns), strict=True):
-                    stamp = round(t * 1e9)
-                    entries += [Entry(n, stamp, data) for n, data in zip(numbers, row, strict=True)]
+                times, columns = piece
             else:
-                t, (topic, kind, data) = piece
-                entries.append(Entry(self._number(topic, kind), round(t * 1e9), data))
-        self._send(Entries(entries))
+                t, one = piece
+                times, columns = [t], [Column(one.topic, one.kind, [one.data])]
+            numbers = [self._number(one.topic, one.kind) for one in columns]
+            stamps = [round(t * 1e9) for t in times]
+            rows.append(Rows(numbers, stamps, [one.data for one in columns]))
+        self._send(Messages(rows))
 
     def _number(self, topic: str, kind: str) -> int:
         """The number of a topic, of which the writer is told when it is new."""
@@ -291,7 +291,7 @@ class Recorder:
 
     def _send(self, frame: Frame) -> None:
         if len(self._pending) > LARGEST_BACKLOG and not isinstance(frame, Topic):
-            self.lost += len(frame.entries) if isinstance(frame, Entries) else 0
+            self.lost += len(frame) if isinstance(frame, Messages) else 0
             return
         packed = self._pack(frame)
         self._pending += len(packed).to_bytes(4, "little")

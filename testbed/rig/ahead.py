@@ -22,13 +22,14 @@ from numba.core import config
 from controllers.own_law import OwnLawParams
 from sim_twin.radio import SIZE
 from testbed.config import Experiment
+from testbed.core.code_cache import has_code
 from testbed.core.rows import States
 from testbed.core.types import Accel, Health, Inputs, Pose, State, Twist
 from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.twin import make_twin
 
 TICKS = 4  # of a law, until its ticks are single calls, see fleet/host.py
-DONE = "chain.step-*.nbi"  # in the cache: a flight has been compiled
+DONE = "chain.step"  # this function has code: a flight has been compiled
 LOCK = "compiling.lock"  # in the cache: one flight at a time starts other processes
 
 LARGEST = "vehicle"  # of the parts
@@ -54,7 +55,7 @@ def _first_flight() -> Iterator[bool]:
     """Whether no code is there yet and no other flight has this cache's lock; else take it."""
     cache = vars(config)["CACHE_DIR"]
     folder = Path(cache or ".")
-    if not cache or (os.cpu_count() or 1) < 2 or next(folder.rglob(DONE), None) is not None:
+    if not cache or (os.cpu_count() or 1) < 2 or has_code(DONE):
         yield False
         return
     try:

@@ -1,8 +1,17 @@
 """Processes that start together, and their compiled code on disk."""
 
 import os
+import shutil
 import subprocess
 import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from testbed.core import code_cache
+
+ROOT = Path(__file__).resolve().parents[2]
 
 COUNT = """
 import sys
@@ -57,3 +66,68 @@ def test_a_function_that_cannot_be_compiled_is_left_to_others(tmp_path):
         check=True, timeout=200, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert found.stdout == "ready\n1 0\n"
+
+
+COMPILE = """
+from sim_twin.contact import keys
+keys(1, 2)
+print(sum(keys.stats.cache_misses.values()), sum(keys.stats.cache_hits.values()))
+"""
+
+
+def compiled_from(tree, cache):
+    """Misses and hits of a process that runs this tree's code, with its cache here."""
+    environment = os.environ | {"PYTHONPATH": str(tree), "XDG_CACHE_HOME": str(cache)}
+    for name in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"):
+        environment.pop(name, None)
+    found = subprocess.run(
+        [sys.executable, "-c", COMPILE], env=environment, cwd=tree, check=True, timeout=100,
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    return found.stdout.strip()
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """What a wheel with machine code of one function installs; it was compiled somewhere else."""
+    here = tmp_path_factory.mktemp("wheel")
+    source = here / "source"
+    names = ("testbed", "controllers", "sim_twin", "firmware_interface", "configs")
+    for name in names:
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source / name)
+    assert compiled_from(source, here / "cache") == "1 0"
+    shutil.copytree(here / "cache" / "airbearing-testbed", source / "testbed" / "machine_code")
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation",
+         "-w", here, source], check=True, timeout=100,
+    )  # fmt: skip
+    wheel = next(here.glob("*.whl"))
+    zipfile.ZipFile(wheel).extractall(here / "site")
+    return here / "site"
+
+
+def test_code_in_a_wheel_is_used(installed, tmp_path):
+    assert compiled_from(installed, tmp_path) == "0 1"
+    assert not list(tmp_path.rglob("*.nbc"))
+
+
+def test_code_in_a_wheel_serves_many_processors_on_x86(installed):
+    kinds = {p.read_bytes().count(b"x86-64-v3") for p in installed.rglob("*.nbi")}
+    assert kinds == {1 if code_cache._processor() else 0}
+
+
+def test_code_in_a_wheel_is_not_used_after_an_edit(installed, tmp_path):
+    tree = shutil.copytree(installed, tmp_path / "edited")
+    with (tree / "sim_twin" / "air.py").open("a") as file:
+        file.write("# another line\n")
+    assert compiled_from(tree, tmp_path / "cache") == "1 0"
+
+
+def test_two_clones_share_their_code(installed, tmp_path):
+    """A function is found by its module, not by the path of its file."""
+    for name, found in (("one", "1 0"), ("two", "0 1")):
+        tree = shutil.copytree(installed, tmp_path / name)
+        shutil.rmtree(tree / "testbed" / "machine_code")
+        assert compiled_from(tree, tmp_path / "cache") == found

@@ -16,12 +16,12 @@ from testbed.logs.mcap_writer import Disk, DiskFullError, frames, write_log
 from testbed.logs.packing import Packer
 from testbed.logs.recorder import (
     SPAN_NS,
-    Entries,
-    Entry,
     Mark,
+    Messages,
     Motion,
     Recorder,
     RecorderError,
+    Rows,
     Topic,
     Truth,
 )
@@ -90,7 +90,7 @@ def chunked(count: int) -> list:
     sent, marked = [Topic("/truth", "Truth")], -SPAN_NS
     for k in range(count):
         now = k * 10**7
-        sent.append(Entries([Entry(0, now, row_at(now))]))
+        sent.append(Messages([Rows([0], [now], [[row_at(now)]])]))
         if now - marked >= SPAN_NS:
             sent.append(Mark())
             marked = now
@@ -115,9 +115,9 @@ def test_what_is_marked_is_in_the_file(tmp_path):
 
     def watched():
         for frame in chunked(200):
-            if isinstance(frame, Entries):
+            if isinstance(frame, Messages):
                 found = stamps(path)
-                lost.append(frame.entries[0].stamp - (found[-1] if found else 0))
+                lost.append(frame.rows[0].stamps[0] - (found[-1] if found else 0))
             yield frame
 
     write_log(path, watched(), Disk(lambda: 10**12, 0, 0), print)
@@ -258,11 +258,11 @@ def test_a_write_that_fails_leaves_a_whole_file(tmp_path, monkeypatch):
 def test_a_frame_that_is_cut_off_was_never_sent():
     import msgspec
 
-    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Entries([Entry(0, 5, b"abc")]))]
+    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Messages([Rows([0], [5], [[b"abc"]])]))]
     stream = b"".join(len(p).to_bytes(4, "little") + p for p in packed)
     for size in (1, 3, 7, 100):
         pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
-        assert list(frames(iter(pieces))) == [Mark(), Entries([Entry(0, 5, b"abc")])]
+        assert list(frames(iter(pieces))) == [Mark(), Messages([Rows([0], [5], [[b"abc"]])])]
     assert list(frames(iter([stream[:-1]]))) == [Mark()]
 
 
