@@ -201,7 +201,10 @@ def words(m: Any, kind: int, mass: float) -> str:
     size = float(m.sizes[kind])
     match kind:
         case k if k == LEAK:
-            return f"jet {m.leak.jet + 1} leaks {m.leak.share:.0%} of its thrust"
+            much = (
+                "all" if m.leak.share >= 1.0 else f"{m.leak.share:.0%}"
+            )  # the estimate may exceed 1
+            return f"jet {m.leak.jet + 1} leaks {much} of its thrust"
         case k if k == WEAK:
             return f"jet {m.weak.jet + 1} gives {1.0 - m.weak.share:.0%} of its thrust"
         case k if k == PULL:

@@ -37,17 +37,25 @@ GIVE_WAY = 10  # niceness of the others
 
 
 @contextmanager
-def compiling_ahead(experiment: Experiment) -> Iterator[None]:
-    """Let other processes compile meanwhile, if the cache is empty and this flight is the first."""
+def compiling_ahead(experiment: Experiment) -> Iterator[Callable[[], None]]:
+    """Let other processes compile meanwhile, if the cache is empty and this flight is the first.
+
+    Yields:
+        a function that ends them; they end with the context, too.
+    """
     with _first_flight() as first:
         parts = [part for part in PARTS if part != "law" or _is_ours(experiment)]
         helpers = [_start(part, experiment) for part in parts] if first else []
-        try:
-            yield
-        finally:
+
+        def end() -> None:
             for one in helpers:
                 one.kill()
                 one.wait()
+
+        try:
+            yield end
+        finally:
+            end()
 
 
 @contextmanager

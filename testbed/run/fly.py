@@ -209,7 +209,18 @@ def fly_and_judge(
         epoch_ns: time of the log, UTC, at time 0 of the run; 0: two runs give the same bytes.
     """
     interrupt, screen = interrupt or Interrupt(), screen or FlightScreen()
-    rig, ending, wall = make(experiment), Ending(0.0, None), 0.0
+    with compiling_ahead(experiment) as end_compilers:
+        return _fly_and_judge(
+            experiment, folder, interrupt, make(experiment), speed, screen, epoch_ns, end_compilers
+        )
+
+
+def _fly_and_judge(
+    experiment: Experiment, folder: Path, interrupt: Interrupt, rig: Rig, speed: float | None,
+    screen: FlightScreen, epoch_ns: int, end_compilers: Callable[[], None],
+) -> Metrics:  # fmt: skip
+    """The same with a rig; `end_compilers` is called before the flight."""
+    ending, wall = Ending(0.0, None), 0.0
     pace = None
     if speed is not None and isinstance(rig, TwinRig):
         pace = PacedClock(rig.twin, speed)
@@ -224,8 +235,9 @@ def fly_and_judge(
     )  # fmt: skip
     try:
         with recorder, screen.showing():
-            with interrupt.at_once(), patience(), compiling_ahead(experiment):
+            with interrupt.at_once(), patience():
                 warm_up(experiment, lambda: interrupt.asked)
+            end_compilers()  # nothing else may run beside a flight
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)

@@ -1,5 +1,7 @@
 """A jet that does not obey is found and named; healthy ones of unequal strength are not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -8,7 +10,7 @@ from stages import JetFaultDetector
 from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
-from testbed.flight import bad_jet, jet_faults
+from testbed.flight import bad_jet, hypotheses, jet_faults
 from testbed.flight.bad_jet import LIKELY_LOOKS, SURE_LOOKS
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import LATE, LEAK, NUDGE, PULL, WEAK
@@ -275,3 +277,11 @@ def test_a_jet_is_not_doubted_while_the_long_window_is_sure_of_a_pull():
     assert bad_jet.leaks_or_is_weak(m)
     m.pulled = 0.02
     assert not bad_jet.leaks_or_is_weak(m)
+
+
+@pytest.mark.parametrize(("share", "much"), [(0.3, "30%"), (0.996, "100%"), (1.2, "all")])
+def test_no_jet_is_said_to_leak_more_than_all(share, much):
+    """The estimate of a leak ends at 1.2 of the thrust in the file."""
+    leak = SimpleNamespace(jet=4, share=share)
+    verdict = SimpleNamespace(sizes=np.zeros(9), leak=leak)
+    assert hypotheses.words(verdict, hypotheses.LEAK, 10.0) == f"jet 5 leaks {much} of its thrust"

@@ -83,3 +83,10 @@ def test_a_users_law_runs_in_the_flights_process_only():
     experiment = load(find("hold"))
     assert ahead._is_ours(experiment)
     assert not ahead._is_ours(replace(experiment, controller=OwnLawParams("mine.py:Mine")))
+
+
+def test_they_can_be_ended_before_the_flight(started, cache):
+    with ahead.compiling_ahead(load(find("hold"))) as end:
+        end()
+        assert started
+        assert all(one.returncode is not None for one in started)
