@@ -195,15 +195,14 @@ def attend(ports, table, k):
 
 
 @compiled
-def law_tick(ports, table, k, code, model, t, turn, now):
+def law_tick(ports, table, k, model, t, turn, now):
     """A tick of a law in compiled code: hear, make a setpoint, send it and keep it.
 
     Args:
         ports: Bundle of HostPorts.
         table: Bundle of a HostTable.
         k: row of this tick.
-        code: of the law, like `model`, `t` and `turn` see `next_setpoint`.
-        model: Bundle of a ReferenceModel.
+        model: Bundle of a ReferenceModel, like `t` and `turn` see `next_setpoint`.
         t: time of the model [s].
         turn: at this time.
         now: [s].
@@ -223,7 +222,7 @@ def law_tick(ports, table, k, code, model, t, turn, now):
         if table.vehicles[k, i] != known[i]:
             return DECLINED, unchanged, False
     row = scratch(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
-    changed = next_setpoint(code, model, table.states[k, :n], t, turn, row)
+    changed = next_setpoint(model, table.states[k, :n], t, turn, row)
     newest = row.shape[0] - REFERENCE_WIDTH
     if not np.isfinite(row[newest + 1] + row[newest + 2]):
         return NOT_FINITE, changed, False
