@@ -15,6 +15,11 @@ unusable there; and an edit of that file would not be noticed.
 
 Processes that start together compile a function once: the first one locks it, the others wait and
 read its code from the disk.
+
+A process may load code that several others have compiled. Numba names code by the function, the
+names of its argument types and a number that it counts from 1 in every process. Two laws whose gains
+have the same class name and the same fields would have code of one name, and the process that loads
+both would fly the first one for both. So each process begins to count somewhere else.
 """
 
 import fcntl
@@ -24,6 +29,7 @@ import platform
 import sys
 from collections.abc import Callable
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
@@ -31,6 +37,7 @@ import numba
 from llvmlite.binding import get_host_cpu_features
 from numba import types
 from numba.core import config
+from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -220,6 +227,7 @@ def _processor() -> str | None:
     return "x86-64-v3" if all(has.get(feature) for feature in X86_64_V3) else None
 
 
+FunctionIdentity._unique_ids = count(int.from_bytes(os.urandom(6), "little"))  # noqa: SLF001
 if "NUMBA_CACHE_DIR" not in os.environ:
     vars(config)["CACHE_DIR"] = str(_cache_folder())
 if "NUMBA_CPU_NAME" not in os.environ and (_kind := _processor()) is not None:

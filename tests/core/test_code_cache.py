@@ -131,3 +131,18 @@ def test_two_clones_share_their_code(installed, tmp_path):
         tree = shutil.copytree(installed, tmp_path / name)
         shutil.rmtree(tree / "testbed" / "machine_code")
         assert compiled_from(tree, tmp_path / "cache") == found
+
+
+NAMES = """
+from numba.core.bytecode import FunctionIdentity
+from testbed.core import code_cache
+def of(gains): return gains
+print(FunctionIdentity.from_function(of).unique_name)
+"""
+
+
+def test_processes_give_their_code_different_names():
+    """One that loads the code of two laws would otherwise fly the first for both."""
+    words = [sys.executable, "-c", NAMES]
+    found = {subprocess.check_output(words, text=True, timeout=100) for _ in range(3)}
+    assert len(found) == 3
