@@ -10,8 +10,8 @@ from typing import Any, cast
 
 import numba
 from llvmlite import ir
-from numba.core import cgutils, datamodel, types
-from numba.extending import NativeValue, intrinsic, register_model, typeof_impl, unbox
+from numba.core import cgutils, config, datamodel, types
+from numba.extending import NativeValue, intrinsic, overload, register_model, typeof_impl, unbox
 
 from testbed.core.code_cache import CodeType
 
@@ -20,16 +20,20 @@ class CodeAddress(int):
     """Address of a compiled function's machine code, see `call`."""
 
     kind: CodeType
-    _function: Any  # keeps the code in memory
+    function: Any  # keeps the code in memory
 
     def __new__(cls, function: Callable[..., Any], args: tuple[Any, ...]) -> "CodeAddress":
         """Of `function`, compiled by `compiled`, for arguments of these types."""
         entry, kinds = cast(Any, function), tuple(map(numba.typeof, args))
+        if vars(config)["DISABLE_JIT"]:  # there is no machine code, see `called`
+            address = super().__new__(cls, 0)
+            address.function = function
+            return address
         entry.compile(kinds)
         made = entry.overloads[kinds]
         place = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
         address = super().__new__(cls, place)
-        address.kind, address._function = CodeType(made.signature), function
+        address.kind, address.function = CodeType(made.signature), function
         return address
 
 
@@ -69,6 +73,19 @@ def call(typingctx: Any, address: Any, args: Any) -> Any:
         return value
 
     return address.signature.return_type(address, args), code
+
+
+def called(address: CodeAddress, args: tuple[Any, ...]) -> Any:
+    """`call` for code that may also run without a compiler."""
+    return address.function(*args)
+
+
+@overload(called, jit_options={"forceinline": True})
+def _called(address: Any, args: Any) -> Any:
+    def compiled_called(address: Any, args: Any) -> Any:
+        return call(address, args)  # type: ignore[call-arg]
+
+    return compiled_called
 
 
 @intrinsic

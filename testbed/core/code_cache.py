@@ -17,9 +17,9 @@ Processes that start together compile a function once: the first one locks it, t
 read its code from the disk.
 
 A process may load code that several others have compiled. Numba names code by the function, the
-names of its argument types and a number that it counts from 1 in every process. Two laws whose gains
-have the same class name and the same fields would have code of one name, and the process that loads
-both would fly the first one for both. So each process begins to count somewhere else.
+names of its argument types and a number that it counts from 1 in every process. Two laws whose
+gains have the same class name and the same fields would have code of one name, and the process that
+loads both would fly the first one for both. So each process begins to count somewhere else.
 """
 
 import fcntl

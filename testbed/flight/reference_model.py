@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.bundle import unpacked
+from testbed.core.bundle import Bundle, unpacked
+from testbed.core.code_address import CodeAddress, called
 from testbed.core.compiled import compiled
 from testbed.core.law import Body, Neighbours, World, propagate_of
-from testbed.core.rows import SETPOINT_WIDTH, References
+from testbed.core.rows import SETPOINT_WIDTH, References, States
 from testbed.flight.barrier import Limits, guarded
 from testbed.flight.record import TRAJECTORY
 
@@ -102,11 +103,27 @@ def advance_model(bundle, states, t, turn, row):
     return dfx, dfy, hazard
 
 
+def code_for(model: Bundle) -> CodeAddress:
+    """The machine code of `advance_model` for a model of this kind.
+
+    `next_setpoint` calls it, so that the law is compiled once.
+    """
+    if (code := _CODES.get(model.kind)) is None:
+        states, row = np.empty((0, States.width)), np.empty(WIDTH)
+        args = model, states, 0.0, (0.0, 0.0, 0.0), row
+        code = _CODES[model.kind] = CodeAddress(advance_model, args)
+    return code
+
+
+_CODES: dict[Any, CodeAddress] = {}  # by kind of the model: it takes half a millisecond to find one
+
+
 @compiled
-def next_setpoint(bundle, states, t, turn, row):
+def next_setpoint(code, bundle, states, t, turn, row):
     """The setpoint of a law that has sent its references up to `t`: these, and one more.
 
     Args:
+        code: see `code_for`.
         bundle: see `advance_model`, like `states`, `t` and `turn`.
         row: written to: see rows.row_of_setpoint, (8 + 10 (m + 1),).
 
@@ -116,7 +133,7 @@ def next_setpoint(bundle, states, t, turn, row):
     it = unpacked(bundle)
     ahead = it.ahead
     m = ahead.shape[0]
-    changed = advance_model(bundle, states, t, turn, row[FIRST + m * WIDTH :])
+    changed = called(code, (bundle, states, t, turn, row[FIRST + m * WIDTH :]))
     for i in range(m):
         for k in range(WIDTH):
             row[FIRST + i * WIDTH + k] = ahead[i, k]

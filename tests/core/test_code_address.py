@@ -7,7 +7,7 @@ import pytest
 from numba.core import config
 
 from testbed.core.bundle import Bundle, unpacked
-from testbed.core.code_address import CodeAddress, call, same_kind
+from testbed.core.code_address import CodeAddress, call, called, same_kind
 from testbed.core.compiled import compiled
 
 if vars(config)["DISABLE_JIT"]:
@@ -55,6 +55,21 @@ def test_the_code_gets_its_arguments_and_returns_its_results():
     assert one.value.values.tolist() == [1.0, 7.0]
     assert through(code, other := numbers(5.0, scale=0.5), 0) == 3.5 + 1
     assert other.value.values.tolist() == [3.5]
+
+
+@compiled
+def through_called(code, one, k):
+    return called(code, (one, k, 1.0))
+
+
+@pytest.mark.parametrize("disabled", [False, True])
+def test_called_runs_with_and_without_a_compiler(monkeypatch, disabled):
+    monkeypatch.setitem(vars(config), "DISABLE_JIT", disabled)
+    code = CodeAddress(scaled, (one := numbers(1.0, 3.0), 0, 0.0))
+    direct = scaled(numbers(1.0, 3.0), 1, 1.0)
+    found = through_called.py_func(code, one, 1) if disabled else through_called(code, one, 1)
+    assert found == direct
+    assert (int(code) == 0) == disabled
 
 
 def test_an_exception_of_the_code_is_raised():

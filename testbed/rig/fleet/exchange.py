@@ -195,14 +195,15 @@ def attend(ports, table, k):
 
 
 @compiled
-def law_tick(ports, table, k, model, t, turn, now):
+def law_tick(ports, table, k, code, model, t, turn, now):
     """A tick of a law in compiled code: hear, make a setpoint, send it and keep it.
 
     Args:
         ports: Bundle of HostPorts.
         table: Bundle of a HostTable.
         k: row of this tick.
-        model: Bundle of a ReferenceModel, like `t` and `turn` see `next_setpoint`.
+        code: of the law, like `model`, `t` and `turn` see `next_setpoint`.
+        model: Bundle of a ReferenceModel.
         t: time of the model [s].
         turn: at this time.
         now: [s].
@@ -222,7 +223,7 @@ def law_tick(ports, table, k, model, t, turn, now):
         if table.vehicles[k, i] != known[i]:
             return DECLINED, unchanged, False
     row = scratch(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
-    changed = next_setpoint(model, table.states[k, :n], t, turn, row)
+    changed = next_setpoint(code, model, table.states[k, :n], t, turn, row)
     newest = row.shape[0] - REFERENCE_WIDTH
     if not np.isfinite(row[newest + 1] + row[newest + 2]):
         return NOT_FINITE, changed, False

@@ -15,6 +15,7 @@ from testbed.core.code_address import CodeAddress
 from testbed.core.compiled import settled
 from testbed.flight import chain
 from testbed.flight.flown_span import FlownSpan
+from testbed.flight.reference_model import code_for
 from testbed.rig.fleet.exchange import hear, law_tick, say
 from testbed.rig.fleet.host import TwinHost
 from testbed.rig.fleet.node import TwinNode
@@ -149,6 +150,7 @@ def codes_of(
     samples, references, others = np.empty((0, 4)), np.empty((0, 10)), np.empty((0, 6))
     own, table, chained = node
     law_ports, law_table, model = law
+    code = code_for(model)
     return Codes(
         CodeAddress(exposures, (ports.rate, ports.phase, 0, 0.0, times)),
         CodeAddress(advance, (ports.plant, ports.pulses, 0, 0.0, times, seen)),
@@ -156,7 +158,8 @@ def codes_of(
         CodeAddress(hear, (own, table, 0, 0.0, 1)),
         CodeAddress(chain.step, (chained, samples, references, others)),
         CodeAddress(say, (own, table, 0)),
-        CodeAddress(law_tick, (law_ports, law_table, 0, model, 0.0, turn, 0.0)),
+        CodeAddress(law_tick, (law_ports, law_table, 0, code, model, 0.0, turn, 0.0)),
+        code,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_span import FlownHostRows
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
+from testbed.flight.reference_model import code_for
 from testbed.flight.tick_table import make_host_table
 from testbed.rig.fleet.exchange import DECLINED, SENT, HostPorts, attend, law_tick
 from testbed.rig.forked import ForkedHost
@@ -113,8 +114,10 @@ class TwinHost(ForkedHost):
         turn = next(iter(guidance.turns((t + self._ahead,))), None)
         if turn is None or t != self.twin.now or not self._refresh():
             return None
+        model = guidance.model
+        assert model is not None  # it turns
         found, changed, full = self._law_tick(
-            self._ports, self._rows, self._k, guidance.model, guidance.model_t, turn, t
+            self._ports, self._rows, self._k, code_for(model), model, guidance.model_t, turn, t
         )
         return None if found == DECLINED else self._answered((found, *changed, full))
 

@@ -31,6 +31,7 @@ class Codes(NamedTuple):
     step: CodeAddress
     say: CodeAddress
     law_tick: CodeAddress
+    law: CodeAddress  # see reference_model.code_for
 
 
 class TwinPorts(NamedTuple):
@@ -159,7 +160,7 @@ def step_law(it, out, k, v, now):
     table = same_kind(it.law_table, own[TABLE])
     status, changed, full = call(
         it.codes.law_tick,
-        (ports, table, row, model, out.model_t[v], (turn[0], turn[1], turn[2]), now),
+        (ports, table, row, it.codes.law, model, out.model_t[v], (turn[0], turn[1], turn[2]), now),
     )
     if status == DECLINED:
         return False
