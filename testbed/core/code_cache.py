@@ -219,6 +219,11 @@ def has_code(name: str) -> bool:
     return any(next(Path(folder).rglob(files), None) is not None for folder in folders)
 
 
+def _count_from_elsewhere() -> None:
+    """Let numba name code as no other process does."""
+    FunctionIdentity._unique_ids = count(int.from_bytes(os.urandom(6), "little"))  # noqa: SLF001
+
+
 def _processor() -> str | None:
     """The kind of processor to compile for; None: this machine's own."""
     if platform.machine() != "x86_64":
@@ -227,7 +232,8 @@ def _processor() -> str | None:
     return "x86-64-v3" if all(has.get(feature) for feature in X86_64_V3) else None
 
 
-FunctionIdentity._unique_ids = count(int.from_bytes(os.urandom(6), "little"))  # noqa: SLF001
+_count_from_elsewhere()
+os.register_at_fork(after_in_child=_count_from_elsewhere)
 if "NUMBA_CACHE_DIR" not in os.environ:
     vars(config)["CACHE_DIR"] = str(_cache_folder())
 if "NUMBA_CPU_NAME" not in os.environ and (_kind := _processor()) is not None:
