@@ -29,16 +29,20 @@ import platform
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
 import numba
+import numba.cpython.hashing  # gives LLVM the seeds of Python's hashes
+import numba.np.linalg
 from llvmlite.binding import get_host_cpu_features
 from numba import types
 from numba.core import config
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.runtime import rtsys
 
 _ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = _ROOT / "testbed" / "machine_code"  # in a wheel of `make wheel`; has one such folder
@@ -167,19 +171,28 @@ class OwnTypesCache(FunctionCache):
         self._locked: int | None = None  # descriptor of the lock, while this process compiles
 
     def load_overload(self, sig: tuple[Any, ...], target_context: Any) -> Any:
-        """Code for these argument types; None: compile it, then call `unlock`."""
+        """Code for these argument types; None: compile it, then call `unlock`.
+
+        Numba would first load all that it needs to compile, which takes 0.4 s; its compiler does
+        that, too. Code that is found needs numba's functions for memory, and the seeds of hashes.
+        """
+        rtsys.initialize(target_context)
         found = self._load_shipped(sig, target_context)
         if found is None:
-            found = super().load_overload(sig, target_context)
+            found = self._load_kept(sig, target_context)
         if found is None and self._locked is None and all(map(_is_ours_throughout, sig)):
             self._locked = _lock(Path(self.cache_path) / f"{self._impl.filename_base}.lock")
-            found = super().load_overload(sig, target_context)
+            found = self._load_kept(sig, target_context)
         return found
+
+    def _load_kept(self, sig: tuple[Any, ...], target_context: Any) -> Any:
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+        return None  # a file could not be read
 
     def _load_shipped(self, sig: tuple[Any, ...], target_context: Any) -> Any:
         if self._shipped is None:
             return None
-        target_context.refresh()
         data = self._shipped.load(self._index_key(sig, target_context.codegen()))
         return None if data is None else self._impl.rebuild(target_context, data)
 
@@ -232,6 +245,20 @@ def _processor() -> str | None:
     return "x86-64-v3" if all(has.get(feature) for feature in X86_64_V3) else None
 
 
+def _load_array_functions() -> None:
+    """Load numba's functions of arrays without scipy.linalg, which would take 0.2 s.
+
+    Numba asks for it when they are loaded, and again when compiled code multiplies matrices.
+    """
+    asks = numba.np.linalg.ensure_blas
+    numba.np.linalg.ensure_blas = lambda: None
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        numba.np.linalg.ensure_blas = asks
+
+
+_load_array_functions()
 _count_from_elsewhere()
 os.register_at_fork(after_in_child=_count_from_elsewhere)
 if "NUMBA_CACHE_DIR" not in os.environ:

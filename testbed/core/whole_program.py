@@ -12,12 +12,12 @@ because without fast-math no optimisation may change it.
 """
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, cast
 
-from llvmlite.binding import parse_assembly
+from llvmlite.binding import Linkage, parse_assembly
 from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -56,6 +56,7 @@ end:
 }
 declare void @NRT_MemInfo_call_dtor(ptr)
 """
+
 
 SELDOM = 300_000, 5, 100  # thresholds of Python's garbage collector, see gc.set_threshold
 
@@ -113,6 +114,16 @@ class PartLibrary(JITCodeLibrary):
 class EntryLibrary(JITCodeLibrary):
     """Code of an entry, which takes in all parts that it calls, directly or not."""
 
+    def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
+        """What is kept on disk: machine code, and the names in it, which numba looks up.
+
+        Numba also keeps the code that callers may inline. Callers of an entry inline its part, and
+        to read that code took most of the time to load an entry.
+        """
+        self._ensure_finalized()
+        names = parse_assembly(stubs(self._final_module)).as_bitcode()
+        return self.name, "object", (self._get_compiled_object(), names)
+
     def finalize(self) -> None:
         """See numba, which links its own libraries and then optimises."""
         libraries = in_order(self._linking_libraries)
@@ -136,6 +147,19 @@ class EntryLibrary(JITCodeLibrary):
             module.get_function(name).linkage = "internal"
         full, builder = passes_of()
         full.run(module, builder)
+
+
+def stubs(module: Any) -> str:
+    """Functions and variables of the names that a module gives to others, with nothing in them."""
+    functions = (f'define void @"{name}"() {{ ret void }}' for name in given(module.functions))
+    variables = (f'@"{name}" = global ptr null' for name in given(module.global_variables))
+    return "\n".join((*functions, *variables))
+
+
+def given(values: Iterable[Any]) -> list[str]:
+    """Names of those that are defined and can be found from outside."""
+    hidden = Linkage.internal, Linkage.private
+    return [one.name for one in values if not one.is_declaration and one.linkage not in hidden]
 
 
 def in_order(libraries: list[Any]) -> list[Any]:

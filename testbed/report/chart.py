@@ -62,9 +62,9 @@ def draw(chart: Chart) -> str:
     )
 
 
-def alone(chart: Chart) -> str:
-    """The figure as a stand-alone file, on white."""
-    head, _, rest = draw(chart).partition(">")
+def alone(chart: Chart, drawing: str | None = None) -> str:
+    """The figure as a stand-alone file, on white; `drawing` is what `draw` has given for it."""
+    head, _, rest = (drawing or draw(chart)).partition(">")
     height = head.split()[4].rstrip('"')
     colours, _, style = THEME.partition("}")
     style = style[style.index("svg text") :]

@@ -1,7 +1,7 @@
 """report.html: a run as a self-contained page."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -64,14 +64,15 @@ def write_report(
     charts = figures(scenario, history, metrics.touches, told)
     if original is not None:
         charts = with_original(charts, figures(scenario, original.history), original)
+    drawn = {chart.key: draw(chart) for chart in charts}
     try:
         drawings = folder / "figures"
         drawings.mkdir(exist_ok=True)
         paths = [folder / "report.html"]
         for chart in charts:
             paths.append(drawings / f"{chart.key}.svg")
-            paths[-1].write_text(alone(chart), encoding="utf-8")
-        text = render(scenario, history, metrics, config, charts, told)
+            paths[-1].write_text(alone(chart, drawn[chart.key]), encoding="utf-8")
+        text = render(scenario, history, metrics, config, charts, drawn, told)
         paths[0].write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(
@@ -83,16 +84,16 @@ def write_report(
 
 def render(
     scenario: Experiment, history: History, metrics: Metrics, config: str,
-    charts: Iterable[Chart], told: Sequence[EventLine],
+    charts: Sequence[Chart], drawn: Mapping[str, str], told: Sequence[EventLine],
 ) -> str:  # fmt: skip
-    """The page as HTML."""
-    drawn = list(charts)
-    first = FIRST if any(c.key == "error_xy" for c in drawn) else (*FIRST, "separation")
-    phases = [c for c in drawn if c.key.startswith("phase_")]
-    later = [c for c in drawn if c.key not in first and c not in phases]
+    """The page as HTML; `drawn` are the drawings of the charts, by their keys."""
+    first = FIRST if any(c.key == "error_xy" for c in charts) else (*FIRST, "separation")
+    phases = [c for c in charts if c.key.startswith("phase_")]
+    later = [c for c in charts if c.key not in first and c not in phases]
+    side_by_side = "".join(figure(c, drawing=drawn[c.key]) for c in phases)
     pictures = (
-        "<h2>Trajectories</h2>", _figures(scenario, [c for c in drawn if c.key in first]),
-        f'<div class="phases">{"".join(map(figure, phases))}</div>' * bool(phases),
+        "<h2>Trajectories</h2>", _figures(scenario, [c for c in charts if c.key in first], drawn),
+        f'<div class="phases">{side_by_side}</div>' * bool(phases),
     )  # fmt: skip
     summary = _tiles(scenario, metrics), _flown(scenario), _warnings(metrics)
     failed = verdict(scenario, metrics).look == "fault"  # then the picture comes first
@@ -102,7 +103,7 @@ def render(
           else (*summary, *pictures, happened(told))),
         _criteria(scenario, metrics),
         _results(scenario, metrics), jets_table(metrics),
-        "<h2>Figures</h2>", _figures(scenario, later),
+        "<h2>Figures</h2>", _figures(scenario, later, drawn),
         timing(metrics),
         provenance(metrics, config),
         bar(flight_data(scenario, history, told)),
@@ -317,21 +318,21 @@ def _results(scenario: Experiment, metrics: Metrics) -> str:
     )
 
 
-def _figures(scenario: Experiment, charts: Iterable[Chart]) -> str:
+def _figures(scenario: Experiment, charts: Iterable[Chart], drawn: Mapping[str, str]) -> str:
     return '<div class="figures">' + "".join(
-        figure(chart, analogue(scenario, chart.key)) for chart in charts
+        figure(chart, analogue(scenario, chart.key), drawn[chart.key]) for chart in charts
     ) + "</div>"  # fmt: skip
 
 
-def figure(chart: Chart, paper: str = "") -> str:
-    """A figure with caption, as HTML."""
+def figure(chart: Chart, paper: str = "", drawing: str | None = None) -> str:
+    """A figure with caption, as HTML; `drawing` is what `draw` has given for it."""
     looks = {"near": ' class="tall"', "valves": ' class="full"', "trajectory": ' class="tall"'}
     full = looks.get(chart.key, "")
     also = f' <span class="soft">({escape(paper)})</span>' if paper else ""
     note = f"<p>{escape(chart.note)}</p>" if chart.note else ""
     return (
         f'<figure id="{chart.key}"{full}><figcaption><b>{escape(chart.title)}</b>{also}'
-        f"</figcaption>{draw(chart)}{note}</figure>"
+        f"</figcaption>{drawing or draw(chart)}{note}</figure>"
     )
 
 

@@ -75,13 +75,13 @@ print(sum(keys.stats.cache_misses.values()), sum(keys.stats.cache_hits.values())
 """
 
 
-def compiled_from(tree, cache):
-    """Misses and hits of a process that runs this tree's code, with its cache here."""
+def compiled_from(tree, cache, program=COMPILE):
+    """What a process prints that runs this tree's code, with its cache here."""
     environment = os.environ | {"PYTHONPATH": str(tree), "XDG_CACHE_HOME": str(cache)}
     for name in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"):
         environment.pop(name, None)
     found = subprocess.run(
-        [sys.executable, "-c", COMPILE], env=environment, cwd=tree, check=True, timeout=100,
+        [sys.executable, "-c", program], env=environment, cwd=tree, check=True, timeout=100,
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     return found.stdout.strip()
@@ -131,6 +131,55 @@ def test_two_clones_share_their_code(installed, tmp_path):
         tree = shutil.copytree(installed, tmp_path / name)
         shutil.rmtree(tree / "testbed" / "machine_code")
         assert compiled_from(tree, tmp_path / "cache") == found
+
+
+VARIOUS = """
+import numpy as np
+from testbed.core.compiled import compiled
+
+@compiled
+def root(x):
+    if x < 0:
+        raise ValueError("negative")
+    return np.sqrt(x)
+
+@compiled
+def various(x, n):
+    a = np.zeros(3)
+    a[:] = np.full(n, root(x))
+    np.random.seed(1)
+    return {"a": a}["a"], np.random.random(), hash((n, x)), f"{n} numbers"
+
+@compiled
+def solved(a, b):
+    return np.linalg.solve(a, b) @ a
+"""
+CALL = """
+import sys
+import numpy as np
+from controllers.various import solved, various
+for args in ((2.0, 3), (-1.0, 3), (2.0, 4)):
+    try:
+        print(*various(*args))
+    except ValueError as error:
+        print(error)
+before = "scipy.linalg" in sys.modules
+print(solved(np.diag([2.0, 4.0]), np.ones(2)))
+misses = sum(f.stats.cache_misses.total() for f in (various, solved))
+print(misses, before, "numba.np.polynomial" in sys.modules)
+"""
+
+
+def test_code_that_is_found_needs_nothing_that_compiles(installed, tmp_path):
+    """It allocates, raises, hashes and solves as it did where it was compiled."""
+    tree = shutil.copytree(installed, tmp_path / "tree")
+    (tree / "controllers" / "various.py").write_text(VARIOUS)
+    *first, how = compiled_from(tree, tmp_path / "cache", CALL).splitlines()
+    assert how == "2 False True"
+    *again, how = compiled_from(tree, tmp_path / "cache", CALL).splitlines()
+    assert how == "0 False False"
+    assert again == first
+    assert "negative" in first
 
 
 NAMES = """

@@ -5,6 +5,7 @@ import sys
 import numba
 import numpy as np
 import pytest
+from llvmlite.binding import parse_bitcode
 from numba.core.runtime import rtsys
 from numba.core.runtime._nrt_python import memsys_enable_stats
 
@@ -71,6 +72,18 @@ def test_no_machine_code_is_made_of_a_part():
     both(X)
     part = next(iter(innermost.part.overloads.values()))
     assert part.library.get_pointer_to_function(part.fndesc.llvm_func_name) == 0
+
+
+def test_machine_code_is_kept_with_its_names_and_without_its_source():
+    """To read that source took most of the time to load an entry."""
+    both(X)
+    (one,) = both.overloads.values()
+    _, _, (code, names) = one.library.serialize_using_object_code()
+    assert code[:4] in (b"\x7fELF", b"\xcf\xfa\xed\xfe")  # Linux, macOS
+    found = {f.name: [str(line).strip() for b in f.blocks for line in b.instructions]
+             for f in parse_bitcode(names).functions}  # fmt: skip
+    assert found[one.fndesc.llvm_func_name] == ["ret void"]
+    assert found[one.fndesc.llvm_cpython_wrapper_name] == ["ret void"]
 
 
 def test_an_error_deep_inside_reaches_the_caller():
