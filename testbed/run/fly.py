@@ -50,7 +50,7 @@ FORMATION_S = 1.0  # log period of the five formation elements [s]
 
 
 class FlightScreen(NullObserver):
-    """Display during a run; this one handles_single_ticks nothing."""
+    """Display during a run; this one shows nothing."""
 
     phase = ""  # the supervisor's phase
 
