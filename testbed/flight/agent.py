@@ -42,7 +42,7 @@ from testbed.core.types import (
 from testbed.core.vehicle import Vehicle
 from testbed.flight import chain
 from testbed.flight.bad_jet import INNOVATIONS
-from testbed.flight.barrier import Barrier
+from testbed.flight.barrier import WIDTH, Barrier
 from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
@@ -67,6 +67,7 @@ IN, OUT = packing(TOLD), packing(STATE, DONE)
 FAULT, HOLDING, OTHER, OLDEST, LEAK, GATE_FAULT = 19, 20, 21, 22, 23, 29
 STAYS_S = 1.0  # a setpoint to stay is renewed at every tick [s]
 ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
+NO_FILTER = 0.0, 0.0  # distance to keep, deceleration
 NO_REFERENCES = np.zeros((0, 10))
 
 
@@ -206,9 +207,9 @@ class Agent:
         rows: list[float] = []  # one after the other
         for name, one in inputs.neighbours.items():
             pose, twist = one.pose, one.twist
-            keep = 0.0 if self.barrier is None else self.barrier.keep[name]
-            rows += (pose.x, pose.y, twist.vx, twist.vy, keep, one.t)
-        return np.array(rows, dtype=np.float64).reshape(-1, 6)
+            keep, hard = NO_FILTER if self.barrier is None else self.barrier.apart_from(name)
+            rows += (pose.x, pose.y, twist.vx, twist.vy, keep, one.t, hard)
+        return np.array(rows, dtype=np.float64).reshape(-1, WIDTH)
 
     def _guided(
         self, guidance: Guidance, inputs: Inputs

@@ -20,6 +20,11 @@ by the same least amount.
     T'    T plus the reaction time of unmodelled parts
     e     how far a neighbour approaches in that time
 
+At an effort of 1/2 two vehicles that keep to this close in by at most sqrt(d / 2) (sqrt(h1) +
+sqrt(h2)), h being the deceleration by all jets of each. The room left by a full stop takes that
+speed and the deceleration ((sqrt(h1) + sqrt(h2)) / 2)^2: it is h if they are equal, and the room is
+0 at the limit of the filter.
+
 A second bound keeps a stop straight against the velocity within the gap, v c1 / (2 F/m) <= s d: it
 does not trade one hazard for another, and does not turn when the normal does.
 
@@ -58,6 +63,7 @@ FASTER = 0.1  # margin of speed in the selection of near neighbours [m/s]
 KEPT = 1.0  # a silent neighbour is extrapolated for this long, then taken as at rest [s]
 EDGES = tuple(Hazard)[Hazard.RIGHT_EDGE - 1 :]  # in the order of `filtered`
 BEYOND = 1e3  # out of reach of every vehicle [m]
+WIDTH = 7  # numbers of a disc, and of another vehicle
 WORST_SHARE = 0.1  # lowest share of the supply pressure used for planning
 
 
@@ -130,8 +136,8 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         vy: [m/s].
         bx: bias [m/s^2].
         by: [m/s^2].
-        discs: rows (x, y, vx, vy, distance of the centres to keep, responsibility); a
-            responsibility below 1 is another vehicle's.
+        discs: rows (x, y, vx, vy, distance of the centres to keep, responsibility, largest
+            deceleration [m/s^2]); a responsibility below 1 is another vehicle's, as is the last.
         limits: constants.
         thrust_scale: the jets' force at the present supply pressure, and without those taken out,
             as a share of the usual one.
@@ -156,7 +162,10 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         relative = -(nx * ux + ny * uy)
         moves = discs[k, 5] == 1.0 and (discs[k, 2] != 0.0 or discs[k, 3] != 0.0)
         if relative > 0.0 and not moves:
-            spare = min(spare, gap - relative * relative / (2.0 * hard))
+            stop = hard
+            if discs[k, 5] < 1.0:
+                stop = 0.25 * (np.sqrt(hard) + np.sqrt(discs[k, 6])) ** 2
+            spare = min(spare, gap - relative * relative / (2.0 * stop))
         if discs[k, 5] < 1.0:
             closing, moving = -(nx * vx + ny * vy), speed
             gap -= limits.period * max(0.0, nx * discs[k, 2] + ny * discs[k, 3])
@@ -204,14 +213,15 @@ def around(t, px, py, speed, obstacles, others, limits, thrust_scale):
         py: [m].
         speed: own [m/s].
         obstacles: at time 0, rows as in `filtered`.
-        others: rows (x, y, vx, vy, distance of the centres to keep, time of the row).
+        others: rows (x, y, vx, vy, distance of the centres to keep, time of the row, largest
+            deceleration [m/s^2]).
         limits: constants.
         thrust_scale: see `filtered`.
 
     Returns:
         discs as in `filtered`, and the row of each in obstacles and others together.
     """
-    discs = np.empty((obstacles.shape[0] + others.shape[0], 6))
+    discs = np.empty((obstacles.shape[0] + others.shape[0], WIDTH))
     rows = np.empty(discs.shape[0], dtype=np.int64)
     count, decel = obstacles.shape[0], thrust_scale * limits.decel
     for k in range(count):
@@ -229,7 +239,7 @@ def around(t, px, py, speed, obstacles, others, limits, thrust_scale):
         if np.hypot(px - x, py - y) > keep + fast * (fast / decel + limits.slow):
             continue
         discs[count, 0], discs[count, 1], discs[count, 2], discs[count, 3] = x, y, vx, vy
-        discs[count, 4], discs[count, 5] = keep, 0.5
+        discs[count, 4], discs[count, 5], discs[count, 6] = keep, 0.5, others[k, 6]
         rows[count] = obstacles.shape[0] + k
         count += 1
     return discs[:count], rows[:count]
@@ -282,6 +292,7 @@ class Barrier:
         obstacles: Mapping[str, Obstacle],
         keep: Mapping[str, float],
         effort: float | None = None,
+        hard: Mapping[str, float] | None = None,
     ) -> None:
         """Guard a vehicle.
 
@@ -294,13 +305,18 @@ class Barrier:
             obstacles: on the table.
             keep: per other vehicle, the distance of the centres at contact [m].
             effort: share of `force` for planned stops; None: from `params`.
+            hard: per other vehicle, the largest deceleration by its jets in every direction
+                [m/s^2]; None: they are like this one.
         """
         decel = (params.effort if effort is None else effort) * force / mass
         self.limits = Limits(
             mass, force, decel, force / mass, period, period + params.reaction_s, params.max_speed,
             half[0] - params.edge_margin, half[1] - params.edge_margin,
         )  # fmt: skip
-        self.keep = {name: reach + params.vehicle_margin for name, reach in keep.items()}
+        self._apart = {
+            name: (reach + params.vehicle_margin, force / mass if hard is None else hard[name])
+            for name, reach in keep.items()
+        }
         self._names = list(obstacles)
         self.obstacles = discs_of([
             (*obstacle.position, *obstacle.velocity, obstacle.radius + params.obstacle_margin, 1.0)
@@ -308,7 +324,15 @@ class Barrier:
         ])  # fmt: skip
         self._guarded = settled(guarded)
         self._met: tuple[str, ...] = ()  # the others at the last call
-        self._apart = np.zeros(0)  # what `keep` says of them [m]
+        self._met_apart = np.zeros((0, 2))
+
+    def apart_from(self, name: str) -> tuple[float, float]:
+        """Distance of the centres to keep [m], and the other's largest deceleration [m/s^2]."""
+        return self._apart[name]
+
+    def apart(self, names: Iterable[str]) -> Array:
+        """`apart_from` each, shape (n, 2)."""
+        return np.array([self._apart[name] for name in names]).reshape(-1, 2)
 
     def filter(
         self, t: float, force: tuple[float, float], motion: tuple[float, ...],
@@ -333,10 +357,10 @@ class Barrier:
         """`filter` with the states of the other vehicles `names` as rows, see rows.States."""
         (fx, fy), (px, py, vx, vy, bx, by) = force, motion
         if names != self._met:
-            self._met, self._apart = names, np.array([self.keep[name] for name in names])
-        others = np.empty((len(names), 6))
+            self._met, self._met_apart = names, self.apart(names)
+        others = np.empty((len(names), WIDTH))
         others[:, :2], others[:, 2:4] = states[:, 1:3], states[:, 4:6]
-        others[:, 4], others[:, 5] = self._apart, states[:, 0]
+        others[:, [4, 6]], others[:, 5] = self._met_apart, states[:, 0]
         x, y, hazard, _ = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
             self.obstacles, others, self.limits, max(thrust_scale, WORST_SHARE),
@@ -358,6 +382,11 @@ def reaches(radii: Mapping[str, float], name: str) -> dict[str, float]:
     return {other: radii[name] + radius for other, radius in radii.items() if other != name}
 
 
-def discs_of(rows: Sequence[Sequence[float]]) -> Array:
-    """Rows for `filtered`; works for an empty list."""
-    return np.array(rows, dtype=float).reshape(-1, 6)
+def discs_of(rows: Sequence[Sequence[float]], hard: float = np.inf) -> Array:
+    """Rows for `filtered` from their first six numbers; works for an empty list.
+
+    Args:
+        rows: of hazards.
+        hard: largest deceleration of each of them that is a vehicle [m/s^2].
+    """
+    return np.array([(*row, hard) for row in rows], dtype=float).reshape(-1, WIDTH)

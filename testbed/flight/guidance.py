@@ -38,7 +38,7 @@ from testbed.core.types import (
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
-from testbed.flight.barrier import UNLIMITED, Barrier, discs_of
+from testbed.flight.barrier import UNLIMITED, WIDTH, Barrier, discs_of
 from testbed.flight.company import Company, meet
 from testbed.flight.record import DEMAND, TRAJECTORY
 from testbed.flight.reference_model import ReferenceModel, advance_model, extrapolate
@@ -308,13 +308,14 @@ class Guidance:
         # changed in place from now on
         self._p, self._v, self._law_state = *motion, self._law_state.copy()
         self._ahead = self._ahead.copy()
-        keep = [0.0 if barrier is None else barrier.keep[name] for name in heard.names]
+        n = len(heard.names)
         return Bundle(ReferenceModel(
             self._compiled, self._law_state, motion, ZERO, self._mass, self._max_force, self._own,
             self._period, self._steps, self._world, others, self._company[1].order,
             barrier is not None, discs_of([]) if barrier is None else barrier.obstacles,
             UNLIMITED if barrier is None else barrier.limits,
-            np.array(keep), np.empty((len(keep), 6)), self._ahead, self._params.setpoint_life_s,
+            np.zeros((n, 2)) if barrier is None else barrier.apart(heard.names),
+            np.empty((n, WIDTH)), self._ahead, self._params.setpoint_life_s,
         ))  # fmt: skip
 
     def _begun(self, own: Body, others: Neighbours, world: World) -> Array:

@@ -82,6 +82,10 @@ def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) ->
         return None
     force = stopping_force(setup.model)
     radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
+    hard = {
+        other: force_share * stopping_force(one.model) / one.model.mass
+        for other, one in experiment.vehicles.items()
+    }
     return Barrier(
         params,
         setup.model.mass,
@@ -91,6 +95,7 @@ def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) ->
         experiment.obstacles,
         reaches(radii, name),
         effort=min(1.0, params.effort / force_share),
+        hard=hard,
     )
 
 

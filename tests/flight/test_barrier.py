@@ -109,7 +109,7 @@ def test_deep_inside_it_backs_out_slowly():
 
 
 def use(force, place, velocity, discs=(), bias=(0.0, 0.0), limits=LIMITS, strength=1.0):
-    return filtered(*force, *place, *velocity, *bias, discs_of(discs), limits, strength)
+    return filtered(*force, *place, *velocity, *bias, discs_of(discs, HARD), limits, strength)
 
 
 def test_far_from_everything_the_demand_is_untouched():
@@ -148,6 +148,18 @@ def test_spare_room_is_what_a_full_stop_leaves():
     assert spare == pytest.approx(0.2 - 0.1**2 / (2.0 * HARD))
     *_, none = use((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), [rock])
     assert none == math.inf  # nothing is ahead of what stands
+
+
+@pytest.mark.parametrize("other", [0.1, 0.5, 1.0, 2.0, 10.0])
+@pytest.mark.parametrize("gap", [0.05, 0.3, 1.0])
+def test_unlike_vehicles_that_close_in_as_their_filters_allow_have_room(other, gap):
+    """Each filter lets its vehicle use half of the gap, at half of what its jets can do."""
+    theirs = other * HARD
+    mine, its = (math.sqrt(0.5 * gap * hard) for hard in (HARD, theirs))
+    for faster, least in ((0.99, 0.0), (1.01, -np.inf)):
+        discs = discs_of([(KEEP + gap, 0.0, -faster * its, 0.0, KEEP, 0.5)], theirs)
+        spare = filtered(0.0, 0.0, 0.0, 0.0, faster * mine, 0.0, 0.0, 0.0, discs, LIMITS, 1.0)[3]
+        assert (spare >= 0.0) == (least == 0.0)
 
 
 def test_spare_room_does_not_count_an_obstacle_that_moves():

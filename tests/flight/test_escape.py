@@ -5,7 +5,7 @@ import pytest
 
 from testbed.core.table import Obstacle
 from testbed.core.types import Accel, Pose, State, Twist
-from testbed.flight.barrier import Barrier, BarrierParams, discs_of, filtered, guarded
+from testbed.flight.barrier import WIDTH, Barrier, BarrierParams, discs_of, filtered, guarded
 from testbed.flight.escape import GIVE_WAY, reached_in, right_of_way
 
 PARAMS = BarrierParams()
@@ -142,6 +142,6 @@ def test_a_vehicle_without_a_way_out_is_not_stopped_in_front_of_the_obstacle(gap
         (-kept, 0.0, 0.0, 0.0, kept, 1.0), (kept + gap, 0.0, -0.1, 0.0, kept, 1.0),
     ])  # fmt: skip
     spare = guarded(
-        0.0, 0.0, 0.0, -0.015, 0.0, -0.03, 0.0, 0.0, 0.0, rocks, np.empty((0, 6)), limits, 1.0
+        0.0, 0.0, 0.0, -0.015, 0.0, -0.03, 0.0, 0.0, 0.0, rocks, np.empty((0, WIDTH)), limits, 1.0
     )[3]
     assert (spare < 0.0) == counts

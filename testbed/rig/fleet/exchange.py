@@ -30,7 +30,7 @@ class Hears(NamedTuple):
     setpoint: int  # from the host
     states: Whole  # (n,) from the other vehicles
     vehicles: Whole  # (n,) whose they are
-    keep: Array  # (n,) distance that the safety filter keeps from each [m]
+    apart: Array  # (n, 2) of the safety filter, see Barrier.apart
 
 
 class VehiclePorts(NamedTuple):
@@ -44,7 +44,7 @@ class VehiclePorts(NamedTuple):
     audience: Whole  # those on which it sends its state
     gauges: Array  # supply and tank pressure, (2,) [Pa]
     row: NDArray[Any]  # the chain's record.ROW, (1,)
-    others: Array  # neighbours at this tick as in `barrier.around`, (n, 6)
+    others: Array  # neighbours at this tick as in `barrier.around`, (n, 7)
     fixed: NDArray[Any]  # its memory.FIXED, (1,)
     times: Array  # of its plan, memory.Memory.times
     holds: Array  # of its fault table
@@ -112,7 +112,7 @@ def hear(ports, table, k, t, armed):
         table.states[k, n] = one[:STATE_WIDTH]
         table.vehicles[k, n] = hears.vehicles[i]
         others[n, 0], others[n, 1], others[n, 2], others[n, 3] = one[1], one[2], one[4], one[5]
-        others[n, 4], others[n, 5] = hears.keep[i], one[0]
+        others[n, 4], others[n, 5], others[n, 6] = hears.apart[i, 0], one[0], hears.apart[i, 1]
         n += 1
     counts = table.counts[k]
     counts[SAMPLES], counts[STATES], counts[REFERENCES] = seen, n, ahead

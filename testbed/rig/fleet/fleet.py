@@ -14,6 +14,7 @@ from testbed.core.bundle import Bundle
 from testbed.core.code_address import CodeAddress
 from testbed.core.compiled import settled
 from testbed.flight import chain
+from testbed.flight.barrier import WIDTH
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.reference_model import code_for
 from testbed.rig.fleet.exchange import hear, law_tick, say
@@ -147,7 +148,7 @@ def codes_of(
 ) -> Codes:
     """Machine code for a fleet like this one."""
     times, seen, turn = np.empty(0), np.empty((0, *ports.x.shape)), (0.0, 0.0, 0.0)
-    samples, references, others = np.empty((0, 4)), np.empty((0, 10)), np.empty((0, 6))
+    samples, references, others = np.empty((0, 4)), np.empty((0, 10)), np.empty((0, WIDTH))
     own, table, chained = node
     law_ports, law_table, model = law
     code = code_for(model)

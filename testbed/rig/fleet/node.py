@@ -14,6 +14,7 @@ from testbed.core.compiled import settled
 from testbed.core.jets import JetHealth
 from testbed.core.rows import References, States
 from testbed.flight.agent import ALERT, Agent
+from testbed.flight.barrier import WIDTH
 from testbed.flight.flown_span import FlownRows
 from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
@@ -42,7 +43,7 @@ class TwinNode:
         self._others, self._room = len(twin.names) - 1, ROOM
         self._thrusters = TwinThrusters(twin, self.name)
         self._parts: tuple[Any, ...] = (None,) * 4  # of the twin, in `_ports`
-        self._heard = np.zeros((self._others, 6))  # see exchange.hear
+        self._heard = np.zeros((self._others, WIDTH))  # see exchange.hear
         twin.states.widen(States.width)
         self._hear, self._say = settled(hear), settled(say)
         self._new_table()
@@ -110,7 +111,7 @@ class TwinNode:
             int(twin.setpoints.rows([(HOST, name)])[0]),
             twin.states.rows((one, name) for one in near),
             np.array([twin.rows[one] for one in near], np.int64),
-            np.array([0.0 if barrier is None else barrier.keep[one] for one in near]),
+            np.zeros((len(near), 2)) if barrier is None else barrier.apart(near),
         )
         audience = twin.audience(name)  # may make room for new links
         film, states, setpoints = twin.cameras.film, twin.states.links, twin.setpoints.links
