@@ -3,10 +3,10 @@
 import math
 from collections.abc import Iterator
 
-from testbed.config.experiment import Experiment, VehicleSetup
+from testbed.config.experiment import Experiment
 from testbed.config.fit import ability
 from testbed.config.hardware import WAYS, strength
-from testbed.config.plausibility import quickest_s
+from testbed.config.plausibility import gas_to_goal, quickest_s
 from testbed.core.pulse import open_time, timing
 from testbed.core.vehicle import Vehicle
 from testbed.flight.parameters import SPARE_FORCE
@@ -48,11 +48,3 @@ def shortest_impulse(vehicle: Vehicle) -> float:
     """Impulse of the shortest pulse of the strongest jet [N s]."""
     flows = open_time(0.0, vehicle.valve.min_on_s, timing(vehicle.valve), 0.0, math.inf)
     return max(jet.thrust for jet in vehicle.jets) * float(flows)
-
-
-def gas_to_goal(experiment: Experiment, setup: VehicleSetup) -> float:
-    """Gas for speeding up, slowing down and floating on the way to the goal [kg]."""
-    model, time = setup.model, quickest_s(experiment, setup)
-    way = math.dist(setup.start[:2], setup.goal[:2])
-    speed = min(experiment.flight.barrier.max_speed, 2.0 * way / time if time else 0.0)
-    return 2.0 * model.mass * speed / model.air.exhaust_speed + time * model.air.bearing_flow

@@ -21,11 +21,14 @@ from testbed.core.table import Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.jet_faults import slopes
+from testbed.metrics.formation import has_formation
 
 BLIND = (PdParams, LqrParams)  # laws that ignore obstacles
 UNEQUAL = 0.8  # smallest plausible ratio of force between opposite directions
 FAST = 1.0  # largest plausible acceleration [m/s^2]
 STEEP = 0.4  # largest plausible share of the jets' acceleration for the slope
+LEAST_GYRATION, MOST_GYRATION = 0.1, 3.0  # plausible shares of the radius
+MOST_DROOP = 0.2  # up to which flights of healthy vehicles were not stopped
 SLOW = 0.003  # smallest plausible acceleration [m/s^2]
 
 
@@ -62,6 +65,20 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
             "acceleration",
             f"the jets give it {accel:.2g} m/s^2: published vehicles have 0.02 to 0.2 m/s^2;"
             " thrust in N, mass in kg?",
+        )
+    gyration = math.sqrt(vehicle.inertia / vehicle.mass) / vehicle.radius
+    if not LEAST_GYRATION <= gyration <= MOST_GYRATION:
+        yield (
+            "inertia",
+            f"its radius of gyration is {gyration:.2g} of its radius, {vehicle.radius:g} m: a disc"
+            " has 0.71; inertia in kg m^2?",
+        )
+    if air.droop > MOST_DROOP:
+        yield (
+            "droop",
+            f"air.droop is {air.droop:.2g}: two open jets give {1.0 / (1.0 + air.droop):.0%} of"
+            f" their thrust each. Above {MOST_DROOP:g} a flight may take healthy jets for weak"
+            " ones, because the estimate counts open jets as a mean over each period",
         )
     can = strength(vehicle)
     for one, other in list(pairwise(WAYS))[::2]:
@@ -101,6 +118,13 @@ def _flight(experiment: Experiment, setup: VehicleSetup) -> Iterator[tuple[str, 
             f"at least {needed:.0f} s from start to goal, the run ends after"
             f" {experiment.duration_s:g} s",
         )
+    gas, filled = gas_to_goal(experiment, setup), setup.model.air.gas
+    if gas > filled and not has_formation(experiment.controller):
+        yield (
+            "gas",
+            f"the way to the goal takes about {1e3 * gas:.2g} g of gas, the tank has"
+            f" {1e3 * filled:.3g} g; is air.exhaust_speed in m/s?",
+        )
     if not isinstance(experiment.controller, BLIND):
         return
     for name, obstacle in experiment.obstacles.items():
@@ -122,6 +146,14 @@ def quickest_s(experiment: Experiment, setup: VehicleSetup) -> float:
     # a quintic polynomial, as guidance plans it
     turn = math.sqrt(10.0 / math.sqrt(3.0) * angle / params.heading_accel)
     return max(move, turn)
+
+
+def gas_to_goal(experiment: Experiment, setup: VehicleSetup) -> float:
+    """Gas for speeding up, slowing down and floating on the way to the goal [kg]."""
+    model, time = setup.model, quickest_s(experiment, setup)
+    way = math.dist(setup.start[:2], setup.goal[:2])
+    speed = min(experiment.flight.barrier.max_speed, 2.0 * way / time if time else 0.0)
+    return 2.0 * model.mass * speed / model.air.exhaust_speed + time * model.air.bearing_flow
 
 
 def _gap(start: tuple[float, ...], end: tuple[float, ...], point: tuple[float, ...]) -> float:

@@ -44,7 +44,7 @@ ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("gas [g]", "gas_g", 1.0, 1, ""),
     ("valve pulses", "valve_pulses", 1.0, 0, ""),
     ("filtered by safety [N s]", "filtered_ns", 1.0, 2, ""),
-    ("largest force [N]", "max_force_n", 1.0, 2, ""),
+    ("largest force asked [N]", "max_force_n", 1.0, 2, ""),
 )
 MISSED = ' class="missed"'  # of a cell or a tile
 TILES_JUDGED = {"nearest obstacle, centres": "clear_of_obstacles", "contacts": "max_contacts"}
