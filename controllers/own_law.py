@@ -14,7 +14,8 @@ coordinates of a position. It returns a complete law, such as a `CompiledLaw`, o
 
 and, if needed, `initial`, `jump`, `broadcast` and `message_size` as in `testbed.core.law`. An
 object in plain Python is integrated with steps of `guidance.step_s`, or of its own `step_s` [s] if
-that is longer.
+that is longer, but with at least one step per jet period. It gets read-only arrays, and the norm of
+its force is limited to `own.max_force`; a complete law limits its force itself.
 
 Instead of a file, `law` may name an entry point of an installed package, in the group
 `testbed.laws`.
@@ -25,6 +26,7 @@ compiled by numba is executed once per content. `sha256` pins the content; a fil
 digest is rejected.
 """
 
+import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -50,26 +52,37 @@ class OwnLawParams(Struct, frozen=True, forbid_unknown_fields=True, tag="python"
 
 
 def parameter_type(made: Callable[..., Any]) -> type[Struct]:
-    """The parameters of a law as a struct that refuses unknown keys."""
+    """The parameters of a law as a struct that refuses unknown keys.
+
+    Raises:
+        UnusableLawError: `made` is a law's method and not what makes a law; or its parameters
+            cannot be named in an experiment.
+    """
     try:
+        arguments = () if isinstance(made, type) else (*inspect.signature(made).parameters,)
+        if "own" in arguments:
+            expected = "a class, or a function that returns a law"
+            found = f"`{made.__name__}` takes {', '.join(arguments)} like a law's own method"
+            raise UnusableLawError("law", expected, found)
         return plugin.option_type(made, plugin.PROVIDED[plugin.LAWS])
     except plugin.PluginError as error:
         raise UnusableLawError("law", f"a law with {error.expected}", error.found) from error
 
 
-def own_law(params: OwnLawParams, names: Sequence[str], d: int) -> Law:
-    """The law for positions of shape (d,).
+def own_law(params: OwnLawParams, names: Sequence[str], d: int, *, limited: bool = True) -> Law:
+    """The law for positions of shape (d,); `limited`: the force of a law in plain Python is.
 
     Raises:
         UnusableLawError: see `maker`; or the parameters are wrong or the object is not a law.
     """
     made = maker(params.law, params.sha256)
-    return law_of(made, params.parameters, names, d, source_of(params.law))
+    path = source_of(params.law)
+    return law_of(made, params.parameters, names, d, path, limited=limited)
 
 
 def law_of(
     made: Callable[..., Any], parameters: dict[str, Any], names: Sequence[str], d: int,
-    path: Path | None = None,
+    path: Path | None = None, *, limited: bool = True,
 ) -> Law:  # fmt: skip
     """The law that a class or function returns; `path` of its file is for messages.
 
@@ -87,7 +100,7 @@ def law_of(
     except BaseException as error:  # it is the user's code, and may call sys.exit
         raise UnusableLawError("parameters", "values it accepts", blame(error, path)) from error
     whole = callable(getattr(law, "propagate", None))
-    return Watched(law if whole else PlainLaw(law, path), path)
+    return Watched(law if whole else PlainLaw(law, path, limited=limited), path)
 
 
 def try_out(law: Law, satellites: int, d: int = 2) -> None:

@@ -1,11 +1,16 @@
-"""Adapters for user-defined laws: plain Python objects as a `Law`, errors with file and line."""
+"""Adapters for user-defined laws: plain Python objects as a `Law`, errors with file and line.
+
+A plain law gets read-only arrays, because a write would move the vehicle of its prediction. The
+norm of its force is limited to `own.max_force`, as that of the shipped laws.
+"""
 
 import inspect
 import math
 import signal
 from collections.abc import Callable
+from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +20,9 @@ from testbed.core.error import TestbedError
 from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, concerns_of, fly_ahead
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
+ROUNDING = 1e-9  # a law that limits its own force may exceed the limit by this share
 VERBS = {
     "force": ("own", "neighbours", "world", "t"),
     "rate": ("law_state", "own", "neighbours", "world", "t"),
@@ -30,9 +37,15 @@ class LawError(TestbedError):
 
 
 class PlainLaw:
-    """A `Law` around an object with `force` or `rate` and, optionally, the other methods."""
+    """A `Law` around an object with `force` or `rate` and, optionally, the other methods.
 
-    def __init__(self, law: Any, path: Path | None) -> None:
+    Args:
+        law: the object.
+        path: of its file, for messages.
+        limited: limit its force.
+    """
+
+    def __init__(self, law: Any, path: Path | None, *, limited: bool = True) -> None:
         has: dict[str, Any] = {verb: getattr(law, verb, None) for verb in VERBS}
         if not callable(has["force"]) and not callable(has["rate"]):
             expected = "an object with force(own, neighbours, world, t) or with rate(...)"
@@ -41,26 +54,52 @@ class PlainLaw:
             if callable(method):
                 _check_signature(verb, method, path)
         self._force, self._rate, self._initial = has["force"], has["rate"], has["initial"]
-        for verb in ("jump", "broadcast"):  # `propagate` looks for them
-            if callable(has[verb]):
-                setattr(self, verb, has[verb])
-        self.message_size = int(getattr(law, "message_size", 0))
-        self._step = float(getattr(law, "step_s", 0.0))
+        self._jump, self._broadcast = has["jump"], has["broadcast"]
+        if callable(self._jump):  # `propagate` looks for `jump` and `broadcast`
+            self.jump = self._jumped
+        if callable(self._broadcast):
+            self.broadcast = self._told
+        self.message_size = _message_size(law, path)
+        self._step, self._limited = _step(law, path), limited
+        self._given: tuple[Any, ...] = (None, None, None)  # of the newest call
+        self._shown: tuple[Any, ...] = self._given  # the same, read-only
+
+    def _show(self, own: Body, neighbours: Neighbours, world: World) -> tuple[Any, ...]:
+        """The arguments with read-only arrays; `propagate` gives the same ones in all steps."""
+        mine, theirs, around = self._given
+        if own is not mine or neighbours is not theirs or world is not around:
+            self._given = own, neighbours, world
+            self._shown = read_only(self._given)
+        return self._shown
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
         if self._initial is None:
             return np.zeros(0)
-        return np.array(self._initial(own, neighbours, world), dtype=float)
+        return np.array(self._initial(*self._show(own, neighbours, world)), dtype=float)
+
+    def _jumped(
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
+    ) -> Array:
+        """The law may change this state in place: it is a copy."""
+        after = self._jump(law_state.copy(), *self._show(own, neighbours, world), t)
+        return np.asarray(after, dtype=float)
+
+    def _told(
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
+    ) -> Array:
+        shown = self._show(own, neighbours, world)
+        return np.asarray(self._broadcast(read_only(law_state), *shown, t), dtype=float)
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`."""
+        shown = self._show(own, neighbours, world)
         if self._rate is None:
-            force, change = self._force(own, neighbours, world, t), law_state
+            force, change = self._force(*shown, t), law_state
         else:
-            force, change = self._rate(law_state, own, neighbours, world, t)
+            force, change = self._rate(read_only(law_state), *shown, t)
         if np.iscomplexobj(force) or np.iscomplexobj(change):
             raise ValueError(f"expected real numbers, found {force} and {change}")
         force, change = np.asarray(force, dtype=float), np.asarray(change, dtype=float)
@@ -69,6 +108,9 @@ class PlainLaw:
                 f"expected a force of shape {own.p.shape} and a rate of shape {law_state.shape}, "
                 f"found {force.shape} and {change.shape}"
             )
+        size = math.hypot(*force.tolist())
+        if self._limited and own.max_force * (1.0 + ROUNDING) < size < math.inf:
+            force = force * (own.max_force / size)
         return force, change
 
     def propagate(
@@ -77,7 +119,8 @@ class PlainLaw:
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
         if self._step > 0.0:
-            steps = min(steps, math.ceil(duration / self._step - 1e-9))
+            asked = duration / max(self._step, duration / steps)
+            steps = max(1, math.ceil(asked - 1e-9))
         return propagate_plain(self, law_state, own, neighbours, world, t, duration, steps)
 
 
@@ -88,6 +131,41 @@ def propagate_plain(
     """`propagate` in plain Python, for a law with a method `rate`."""
     plain = getattr(fly_ahead, "py_func", fly_ahead)  # numba may be switched off
     return plain(own.p.shape[0], law, law_state, own, neighbours, world, t, duration, steps)
+
+
+def read_only(value: T) -> T:
+    """The same arrays, or (nested) tuples of arrays, as views that cannot be written to."""
+    if isinstance(value, np.ndarray):
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    if isinstance(value, tuple):
+        parts = map(read_only, value)
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)  # type: ignore[return-value]
+    return value
+
+
+def _step(law: Any, path: Path | None) -> float:
+    """The law's `step_s`; 0: it has none."""
+    if not hasattr(law, "step_s"):
+        return 0.0
+    step = law.step_s
+    real = isinstance(step, Real) and not isinstance(step, bool)
+    if not real or not 0.0 < float(step) < math.inf:
+        raise _bad_value("step_s", "a time in seconds, more than 0 and finite", step, path)
+    return float(step)
+
+
+def _message_size(law: Any, path: Path | None) -> int:
+    size = getattr(law, "message_size", 0)
+    if not isinstance(size, Integral) or isinstance(size, bool) or size < 0:
+        raise _bad_value("message_size", "a whole number, at least 0", size, path)
+    return int(size)
+
+
+def _bad_value(name: str, expected: str, value: object, path: Path | None) -> UnusableLawError:
+    where = f"{path.name}: " if path else ""
+    return UnusableLawError("law", f"{name}: {expected}", f"{where}{name} = {value!r}")
 
 
 def _check_signature(verb: str, method: Callable[..., Any], path: Path | None) -> None:

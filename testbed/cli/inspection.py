@@ -19,6 +19,7 @@ from testbed.config.file import fault_texts, words_for
 from testbed.config.fit import defaults_of
 from testbed.config.guarantee import warnings_of
 from testbed.config.key import spell
+from testbed.config.law_demand import asks_too_much
 from testbed.config.plausibility import doubts_of
 from testbed.config.thresholds import WORDS, words_in, worked_out
 from testbed.core.table import Table
@@ -52,7 +53,8 @@ def check_experiment(
         print_defaults(experiment, out)
     if faults:
         print_faults(path, experiment, overrides, out)
-    for warning in [*warnings_of(experiment), *doubts_of(experiment)]:
+    found = [*warnings_of(experiment), *asks_too_much(experiment), *doubts_of(experiment)]
+    for warning in found:
         say(errors, f"warning: {warning.name}: {warning.text}", "yellow")
     return OK
 

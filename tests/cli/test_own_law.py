@@ -233,6 +233,36 @@ BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expec
         "class Law:\n" + FORCE + "        return own.p / own.q\n", NAMED, "{}", "law",
         "a law that says what to do", "my_law.py:3, in force: AttributeError: 'Body' object has",
     ),
+    "writes": (
+        "class Law:\n" + FORCE + "        e = own.p\n        e -= world.goal.p\n        return e\n",
+        NAMED, "{}", "law", "a law that says what to do",
+        "my_law.py:4, in force: ValueError: output array is read-only",
+    ),
+    "step in words": (
+        "class Law:\n    step_s = 'fast'\n" + FORCE + "        return 0.0 * own.p\n", NAMED, "{}",
+        "law", "step_s: a time in seconds", "my_law.py: step_s = 'fast'",
+    ),
+    "step of nothing": (
+        "class Law:\n    step_s = None\n" + FORCE + "        return 0.0 * own.p\n", NAMED, "{}",
+        "law", "step_s: a time in seconds", "my_law.py: step_s = None",
+    ),
+    "negative step": (
+        "class Law:\n    step_s = -0.1\n" + FORCE + "        return 0.0 * own.p\n", NAMED, "{}",
+        "law", "step_s: a time in seconds", "my_law.py: step_s = -0.1",
+    ),
+    "step that is no number": (
+        "class Law:\n    step_s = float('nan')\n" + FORCE + "        return 0.0 * own.p\n", NAMED,
+        "{}", "law", "step_s: a time in seconds", "my_law.py: step_s = nan",
+    ),
+    "message size": (
+        "class Law:\n    message_size = 'two'\n" + FORCE + "        return 0.0 * own.p\n", NAMED,
+        "{}", "law", "message_size: a whole number", "my_law.py: message_size = 'two'",
+    ),
+    "a bare force": (
+        "def force(own, neighbours, world, t):\n    return 0.0 * own.p\n", "my_law.py:force", "{}",
+        "law", "a class, or a function that returns a law",
+        "`force` takes own, neighbours, world, t like a law's own method",
+    ),
     "compiled": (
         "from typing import NamedTuple\nimport numpy as np\n"
         "from testbed.core.law import CompiledLaw, compiled_rate, no_state\n"

@@ -90,13 +90,20 @@ class Whole:
         return Ahead(law_state, own.p, own.v, np.zeros(2), np.zeros(3))
 
 
+class WholeWrites(Whole):
+    def rate(self, law_state, own, neighbours, world, t):
+        world.goal.p[0] += 0.5
+        return np.zeros(2), law_state
+
+
 class NoForce:
     pass
 
 
 BAD = {  # law: (the check, what it says)
-    Writes: ("inputs_are_not_written", "one was written"),
-    WritesItsState: ("inputs_are_not_written", "one was written"),
+    Writes: ("inputs_are_not_written", "read-only"),
+    WritesItsState: ("inputs_are_not_written", "read-only"),
+    WholeWrites: ("inputs_are_not_written", "one was written"),
     Counts: ("same_question_same_answer", "memory is the law's state"),
     Draws: ("same_question_same_answer", "memory is the law's state"),
     KeepsOutside: ("two_laws_are_alike", "nothing outside it is kept"),
