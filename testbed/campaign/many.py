@@ -23,7 +23,8 @@ def fly_many(
     """Fly experiments on the twin, several at the same time, without logs.
 
     Each flight is the one that `testbed.fly` flies alone, to the last bit. A law that raises,
-    exits, crashes or hangs spoils its own row only.
+    exits, crashes or hangs spoils its own row only: a call that takes longer than
+    `deploy.law_limit_s` is a fault, and one that cannot be interrupted is given up after `limit_s`.
 
     Args:
         experiments: from `testbed.load`; each may have other vehicles, laws and seeds.

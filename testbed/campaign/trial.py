@@ -15,7 +15,10 @@ from msgspec.structs import replace
 from testbed.campaign.row import FlownRun, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, dump, loads
+from testbed.flight.loop import Ending
+from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.scheduling import no_garbage_collection, settle
+from testbed.rig.chain import watched
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin, warm_up
 from testbed.run.fly import fly_and_judge
@@ -32,9 +35,13 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> FlownRun:
     try:
         experiment = read(base, overrides)
         seed = experiment.seed
-        judge, rig = MetricsObserver(experiment.vehicles), make_twin(experiment)
-        with no_garbage_collection():
-            ending = rig.fly(judge)
+        judge = MetricsObserver(experiment.vehicles)
+        with watched(experiment, slow=False):  # a result must not depend on the machine's speed
+            rig = make_twin(experiment)
+            with no_garbage_collection():
+                ending = rig.fly(judge)
+            if ending.fault is None and (complained := complaint()):
+                ending = Ending(ending.t, complained)
         completed = ending.fault is None
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
@@ -69,7 +76,9 @@ def warm(base: str, batch: Sequence[Task]) -> None:
     """Fly some runs for a moment, so that their code is compiled to disk."""
     for _, overrides in batch:
         with suppress(Exception, SystemExit):  # errors are reported when the run flies
-            warm_up(read(base, overrides), lambda: False)
+            experiment = read(base, overrides)
+            with watched(experiment, slow=False), patience():
+                warm_up(experiment, lambda: False)
     settle()
 
 
@@ -85,7 +94,8 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
         try:
             experiment = read(base, overrides)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            with redirect_stderr(StringIO()):  # standard error belongs to the campaign
+            # standard error belongs to the campaign
+            with redirect_stderr(StringIO()), watched(experiment, slow=False):
                 metrics = fly_and_judge(experiment, folder)
             write_metrics(folder, metrics)
             columns = columns_of(metrics, experiment, {})

@@ -1,16 +1,16 @@
 """Time and memory limits for calls of a user's own law.
 
-A system timer interrupts a call that exceeds its limit and raises an error inside the law, so that
-the run ends in order, as after any other error of a law. If the law ignores the error (it is in
-compiled code, or catches everything), the supervisor process kills its process: see
-`cli/process_supervisor.py`.
+An alarm interrupts a call that exceeds its limit and raises an error inside the law, so that the
+run ends in order, as after any other error of a law: see `law_alarm.py`. If the law ignores the
+error (it is in compiled code, or catches everything), the supervisor process kills its process:
+see `cli/process_supervisor.py`.
 
-Only the main thread of a process can be interrupted: in other threads, as in campaigns with
-threads, this module has no effect.
+Each thread that flies has a watch of its own. Memory and threads are those of the whole process, so
+only the watch of the main thread limits them.
 """
 
+import math
 import os
-import signal
 import statistics
 import sys
 import threading
@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numba.core.compiler_lock as compiling
@@ -30,7 +29,8 @@ from controllers.own_law import OwnLawParams
 from controllers.plain_law import LawError
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
-from testbed.realtime.heartbeat import RunPhase, heartbeat
+from testbed.realtime.heartbeat import Heartbeat, RunPhase, heartbeat
+from testbed.realtime.law_alarm import Alarm, make_alarm
 
 READ_S = 30.0  # limit for reading a law's file: it may import large packages
 FIRST_S = 10.0  # limit for the first calls, before the flight, without numba's compilation
@@ -43,11 +43,19 @@ FEW = 3  # calls needed to warn of a slow law; on wires a flight ends after this
 MANY = 10  # calls needed to call it a fault
 FAR = 2.0  # a median call that takes this many times its budget is a fault
 
-_open_watches: "list[LawWatch]" = []  # at most the one of this process
+
+class _Open(threading.local):
+    """The open watches of this thread; the last one is in effect."""
+
+    def __init__(self) -> None:
+        self.watches: list[LawWatch] = []
+
+
+_open = _Open()
 
 
 class LawWatch:
-    """A context manager that watches the calls of all laws in one process.
+    """A context manager that watches the calls of all laws in one thread.
 
     Args:
         law: its name in the experiment, "my_law.py:Mine".
@@ -59,7 +67,9 @@ class LawWatch:
     def __init__(self, law: str, limit_s: float, memory_mb: float, budget_s: float) -> None:
         path = file_of(law)
         self.name = law if path is None else path.name
-        self.limit_s, self.memory_mb, self.budget_s = limit_s, memory_mb, budget_s
+        self._alone = threading.current_thread() is threading.main_thread()
+        self.memory_mb = memory_mb if self._alone else math.inf
+        self.limit_s, self.budget_s = limit_s, budget_s
         self.laws: list[TimedLaw] = []
         self._now_s = limit_s  # the current limit
         self._inside = False
@@ -70,14 +80,15 @@ class LawWatch:
     def __enter__(self) -> "LawWatch":
         _listen()
         self._threads = set(threading.enumerate())
-        before = signal.signal(signal.SIGALRM, self._tick)
-        self._stack.callback(signal.signal, signal.SIGALRM, before)
-        self._stack.callback(signal.setitimer, signal.ITIMER_REAL, 0.0)
+        self._alarm: Alarm = make_alarm(self._tick)
+        self._stack.callback(self._alarm.close)
         self._statm = self._open("/proc/self/statm")
         self._waits = self._open(str(WAITS)) if WAITS.exists() else None
-        heartbeat().law, heartbeat().limits = self.name, (self.limit_s, self.memory_mb)
-        _open_watches.append(self)
-        self._stack.callback(_open_watches.remove, self)
+        # the supervisor looks at the main thread only
+        self._heart = heartbeat() if self._alone else Heartbeat()
+        self._heart.law, self._heart.limits = self.name, (self.limit_s, self.memory_mb)
+        _open.watches.append(self)
+        self._stack.callback(_open.watches.remove, self)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -101,22 +112,27 @@ class LawWatch:
         """
         self._entered_mb = self._resident_mb()
         self._late, self._forked = 0, False
-        heartbeat().enter(vehicle)
+        self._heart.enter(vehicle)
         self._inside = True
-        signal.setitimer(signal.ITIMER_REAL, self._now_s / LOOKS, self._now_s / LOOKS)
+        self._alarm.set(self._now_s / LOOKS)
         try:
-            yield
+            try:
+                yield
+            finally:
+                self._leave()
         except LawStoppedError as error:  # raised in this module, not in the law
+            self._leave()
             raise LawError(f"{self.name}: {error}") from None
-        finally:
-            self._inside = False
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            heartbeat().leave()
         self._grown = self._with_this_call()
         if self._forked:
             raise LawError(f"{self.name}: started a process by os.fork(); a law must not")
         if self._grown > self.memory_mb:
             raise LawError(f"{self.name}: {self._too_much(self._grown)}")
+
+    def _leave(self) -> None:
+        self._inside = False
+        self._alarm.set(0.0)
+        self._heart.leave()
 
     def complaint(self) -> FaultReport | None:
         """Fault of the law that shows at the end of the flight.
@@ -125,7 +141,7 @@ class LawWatch:
         """
         left = [
             one.name for one in threading.enumerate()
-            if one not in self._threads and not one.daemon
+            if self._alone and one not in self._threads and not one.daemon
         ]  # fmt: skip
         if left:
             count = "a thread" if len(left) == 1 else f"{len(left)} threads"
@@ -152,13 +168,13 @@ class LawWatch:
         """The operator stopped the run: shorten the limit of the active call."""
         if self._inside:
             self._now_s = min(self._now_s, HURRY_S)
-            signal.setitimer(signal.ITIMER_REAL, self._now_s / LOOKS, self._now_s / LOOKS)
+            self._alarm.set(self._now_s / LOOKS)
 
-    def _tick(self, number: int, frame: FrameType | None) -> None:
+    def _tick(self) -> None:
         if not self._inside:
             return
         if compiling.global_compiler_lock.is_locked():  # numba compiles
-            heartbeat().beat()
+            self._heart.beat()
             return
         if (grown := self._with_this_call()) > self.memory_mb:
             raise LawStoppedError(self._too_much(grown))
@@ -195,7 +211,7 @@ class LawWatch:
             LawStoppedError: a law starts it, in flight.
         """
         in_flight = self._inside and self._now_s <= self.limit_s and self.budget_s > 0.0
-        if in_flight and threading.current_thread() is threading.main_thread():
+        if in_flight:
             raise LawStoppedError(f"started a process by {event}; a law must not")
 
     def end_of_a_fork(self) -> None:
@@ -205,7 +221,7 @@ class LawWatch:
 
 
 def _at_fork(tell: Callable[[LawWatch], None]) -> None:
-    for watch in _open_watches:
+    for watch in _open.watches:
         tell(watch)
 
 
@@ -220,15 +236,15 @@ def _listen() -> None:
 
     def hear(event: str, arguments: tuple[object, ...]) -> None:
         if event in STARTS:
-            for watch in _open_watches:
+            for watch in _open.watches:
                 watch.starts(event)
 
     sys.addaudithook(hear)
 
 
 def current() -> LawWatch | None:
-    """The open watch of this process; None: no watch is open."""
-    return _open_watches[-1] if _open_watches else None
+    """The open watch of this thread; None: no watch is open."""
+    return _open.watches[-1] if _open.watches else None
 
 
 @contextmanager
@@ -238,10 +254,8 @@ def reading(law: str) -> Iterator[None]:
     Raises:
         UnusableLawError: it hangs, or does what a law must not.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    heart = heartbeat()
+    here = threading.current_thread() is threading.main_thread()
+    heart = heartbeat() if here else Heartbeat()
     before = heart.phase
     if before is RunPhase.STARTING:
         heart.phase = RunPhase.READING
@@ -341,7 +355,6 @@ def watching(
     controller: Any, limit_s: float, memory_mb: float, budget_s: float
 ) -> AbstractContextManager[Any]:
     """The watch of a run; does nothing if its law is not a user's file."""
-    here = threading.current_thread() is threading.main_thread()
-    if not isinstance(controller, OwnLawParams) or not here:
+    if not isinstance(controller, OwnLawParams):
         return nullcontext()
     return LawWatch(controller.law, limit_s, memory_mb, budget_s)

@@ -76,7 +76,7 @@ def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: 
             folder = new_folder(Path(log), experiment.name)
         if current_thread() is main_thread():  # no other thread can be interrupted
             stack.enter_context(interrupt.caught())
-            stack.enter_context(watched(experiment))
+        stack.enter_context(watched(experiment))
         try:
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             screen = Progress(experiment.duration_s) if progress else None

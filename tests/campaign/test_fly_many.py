@@ -2,6 +2,7 @@
 
 import math
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -13,7 +14,9 @@ SPOILT = {
     "killed": "os.kill(os.getpid(), 9)",
     "raises": "1 / 0",
     "nan": "return own.p * math.nan",
+    "hangs": "while True: pass",
 }
+LIMIT_S = 0.2
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +29,10 @@ def spoilt(hold, folder, name):
     law.write_text(
         "import math, os\nclass Own:\n    step_s = 0.05\n"
         "    def force(self, own, neighbours, world, t):\n"
-        f"        if t > 1.0: {SPOILT[name]}\n        return 0.0 * own.p\n"
+        f"        if t > 1.0:\n            {SPOILT[name]}\n        return 0.0 * own.p\n"
     )
-    return hold.with_(controller={"type": "python", "law": f"{law}:Own"})
+    own = {"type": "python", "law": f"{law}:Own"}
+    return hold.with_({"controller": own, "deploy.law_limit_s": LIMIT_S})
 
 
 def test_a_bad_law_spoils_its_own_run_only(hold, tmp_path):
@@ -37,13 +41,32 @@ def test_a_bad_law_spoils_its_own_run_only(hold, tmp_path):
     mixed = [one for pair in zip(bad, good, strict=True) for one in pair]
     table = testbed.fly_many(mixed, jobs=2)
     outcomes, reasons = table["outcome"][::2].tolist(), table["reason"][::2].tolist()
-    assert outcomes == ["lost", "fault", "fault"]
+    assert outcomes == ["lost", "fault", "fault", "fault"]
     assert "SIGKILL" in reasons[0]
     assert "ZeroDivisionError" in reasons[1]
     assert "not finite" in reasons[2]
+    assert f"hangs.py:6, in force: did not return within {LIMIT_S:g} s" in reasons[3]
     assert not set(table["outcome"][1::2].tolist()) & {"lost", "error"}
     alone = [testbed.fly(one).metrics.vehicles["sat1"].impulse_ns for one in good]
     assert table["impulse_ns"][1::2].tolist() == alone
+
+
+def in_a_thread(call):
+    with ThreadPoolExecutor(1) as threads:
+        return threads.submit(call).result(60.0)
+
+
+@pytest.mark.parametrize("where", [lambda call: call(), in_a_thread], ids=["main", "thread"])
+def test_a_law_that_hangs_in_this_process_ends_its_own_run_only(hold, tmp_path, where):
+    hanging = spoilt(hold, tmp_path, "hangs")
+    other = {"type": "python", "law": spoilt(hold, tmp_path, "nan").controller.law}
+    laws = [{"type": "python", "law": hanging.controller.law}, other]
+    table = where(lambda: testbed.sweep(hanging, over={"controller": laws}))
+    assert table["outcome"].tolist() == ["fault", "fault"]
+    assert "hangs.py:6, in force: did not return" in table["reason"][0]
+    assert "nan.py: force is not finite" in table["reason"][1]
+    fault = where(lambda: testbed.fly(hanging).fault)
+    assert "hangs.py:6, in force: did not return" in fault
 
 
 def test_different_experiments_share_a_table(hold):
