@@ -20,8 +20,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from testbed.campaign.extra import needs_extra
 from testbed.core.error import TestbedError
+from testbed.core.extra import needs_extra
 from testbed.run.code import code_digest
 
 Task = TypeVar("Task")

@@ -11,6 +11,7 @@ from testbed.campaign.beside import fly_beside
 from testbed.campaign.row import FlownRun
 from testbed.campaign.worker import Order
 from testbed.config import Experiment, dump
+from testbed.run.arguments import check_experiment, list_of
 from testbed.run.table import Table
 
 UNITS = {"_m": "m", "_s": "s", "_deg": "deg", "_ns": "N s", "_g": "g", "_n": "N"}
@@ -36,7 +37,10 @@ def fly_many(
         "failed", "fault", "error", "refused", "lost"), `reason`, and the metrics. `settle_s` is
         the worst vehicle's, `sat1.settle_s` one vehicle's. NaN where a number does not apply.
     """
-    flown = list(experiments)
+    where = "testbed.fly_many"
+    flown = list_of(where, experiments, "a list of experiments, from testbed.load")
+    for one in flown:
+        check_experiment(where, one)
     orders = [Order(k, tomli_w.dumps(dump(one))) for k, one in enumerate(flown)]
     runs = fly_beside(orders, jobs or os.cpu_count() or 1, limit_s)
     columns = {

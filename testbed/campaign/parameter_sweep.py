@@ -12,6 +12,7 @@ from testbed.campaign.many import LIMIT_S, table_of
 from testbed.campaign.trial import fly, read
 from testbed.campaign.worker import Order
 from testbed.config import Experiment, dump
+from testbed.run.arguments import check_experiment, list_of, wrong
 from testbed.run.experiment import toml
 from testbed.run.table import Table
 
@@ -39,8 +40,15 @@ def sweep(
     Raises:
         TestbedError: a key or value is not possible.
     """
-    axes = {key: list(values) for key, values in (over or {}).items()}
-    rows = [(values, seed) for values in product(*axes.values()) for seed in seeds]
+    check_experiment("testbed.sweep", experiment)
+    if not isinstance(over or {}, Mapping):
+        raise wrong("testbed.sweep, over", 'values by key: {"controller.k": [0.2, 0.3]}', over)
+    axes = {
+        key: list_of(f"testbed.sweep, over[{key!r}]", values, "a list of values: [0.2, 0.3]")
+        for key, values in (over or {}).items()
+    }
+    numbers = list_of("testbed.sweep, seeds", seeds, "a list of seeds: range(20)")
+    rows = [(values, seed) for values in product(*axes.values()) for seed in numbers]
     base = tomli_w.dumps(dump(experiment))
     orders = [
         Order(

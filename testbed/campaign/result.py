@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from testbed.campaign.extra import needs_extra
 from testbed.campaign.row import FlownRun
 from testbed.campaign.sweep import Campaign
+from testbed.core.extra import needs_extra
 from testbed.files import atomic_write
 
 Table = dict[str, list[Any]]

@@ -32,7 +32,6 @@ import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
-from testbed.campaign.extra import needs_extra
 from testbed.campaign.row import FlownRun, Task, broken_bound, check_columns, check_vehicles, column
 from testbed.campaign.sweep import (
     Count,
@@ -47,6 +46,7 @@ from testbed.config.error import show
 from testbed.config.experiment import Seed
 from testbed.config.key import assignment
 from testbed.core.error import MismatchError
+from testbed.core.extra import needs_extra
 from testbed.core.vehicle import Positive
 
 BROKEN = 1e6  # cost of each run that breaks a safety bound

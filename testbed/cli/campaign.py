@@ -11,7 +11,6 @@ from rich.markup import escape
 from rich.table import Table as Grid
 
 from testbed.campaign.engine import EngineError
-from testbed.campaign.extra import MissingExtraError
 from testbed.campaign.flight import (
     CampaignEnd,
     RunFunctions,
@@ -33,6 +32,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
+from testbed.core.extra import MissingExtraError
 from testbed.files import write_atomic
 from testbed.run.interrupt import Interrupt
 

@@ -1,10 +1,34 @@
-"""The `pip` line for packages that only some verbs need."""
+"""Optional packages that only some verbs and calls need, and the `pip` line for them."""
 
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from testbed.core.error import TestbedError
+
 ROOT = Path(__file__).resolve().parents[2]
+
+
+class MissingExtraError(TestbedError):
+    """A verb or a call needs packages that are not installed."""
+
+
+@contextmanager
+def needs_extra(name: str) -> Iterator[None]:
+    """Context for imports from the extra `name`.
+
+    Raises:
+        MissingExtraError: it is not installed; the message has the command to install it.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            where=f"the package `{error.name}` is not installed",
+            expected=f"the extra `{name}`: {pip_install(name)}",
+        ) from None
 
 
 def pip_install(extra: str, root: Path = ROOT) -> str:

@@ -18,6 +18,7 @@ from testbed.rig.chain import watched
 from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
+from testbed.run.arguments import check_experiment, check_number, check_overrides
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import new_folder, take_back, utc_ns, write_config, write_metrics
@@ -63,6 +64,7 @@ def fly(
         InterruptedFlight: Ctrl-C; a KeyboardInterrupt. The flight was ended and its files were
             finished first.
     """
+    check_experiment("testbed.fly", experiment)
     return _fly(experiment, _maker(rig), log, progress)
 
 
@@ -113,6 +115,12 @@ def open_run(folder: str | Path) -> Run:
         TestbedError: it is not a run's folder, or its log cannot be read.
     """
     path = Path(folder)
+    if not path.exists():
+        raise TestbedError(
+            where="testbed.open_run", expected="the folder of a finished run",
+            found=f"no such folder: {folder}",
+        )  # fmt: skip
+    log_of(path)  # refuses a folder that is not a run's
     home = path if path.is_dir() else path.parent
     return read_run(path, home, load(config_of(path)))
 
@@ -130,6 +138,7 @@ def replay(run: Run, *overrides: str) -> Replay:
     Raises:
         TestbedError: the run was not logged.
     """
+    check_overrides("testbed.replay", overrides)
     folder = _logged(run, "replay")
     return replay_experiment(load(config_of(folder), overrides), log_of(folder))
 
@@ -154,6 +163,8 @@ def fork(
         TestbedError: the run has no log, or the flight up to `t` is not the one in the log.
         InterruptedFlight: see `fly`.
     """
+    check_number("fork", t, "a time of the flight in seconds")
+    check_overrides("fork", overrides)
     original = _logged(run, "fork")
     experiment = forked(load(config_of(original)), t, overrides)
     make = _maker("twin")

@@ -8,6 +8,7 @@ import numpy as np
 import tomli_w
 
 from testbed import config
+from testbed.run.arguments import check_overrides, wrong
 
 
 class Experiment(config.Experiment, frozen=True, forbid_unknown_fields=True):
@@ -24,7 +25,7 @@ class Experiment(config.Experiment, frozen=True, forbid_unknown_fields=True):
         Raises:
             TestbedError: a key does not exist, or a value is invalid.
         """
-        overrides = [f"{key}={toml(value)}" for key, value in {**(changes or {}), **more}.items()]
+        overrides = texts_of("with_", changes, more)
         return of(config.loads(tomli_w.dumps(config.dump(self)), overrides))
 
     def _repr_html_(self) -> str:
@@ -52,8 +53,16 @@ def load(name_or_path: str | Path, *overrides: str, seed: int | None = None) -> 
     Raises:
         TestbedError: the file cannot be read, or it has an error.
     """
+    check_overrides("testbed.load", overrides)
     texts = [*overrides, *([] if seed is None else [f"seed={toml(seed)}"])]
     return of(config.load(config.find(str(name_or_path)), texts))
+
+
+def texts_of(where: str, changes: Mapping[str, Any] | None, more: Mapping[str, Any]) -> list[str]:
+    """Changes as overrides of the command line; `where` is the call that got them."""
+    if not isinstance(changes, Mapping | None):
+        raise wrong(where, 'values by key: {"controller.k": 0.3}', changes)
+    return [f"{key}={toml(value)}" for key, value in {**(changes or {}), **more}.items()]
 
 
 def toml(value: Any) -> str:

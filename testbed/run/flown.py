@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
+from testbed.core.extra import needs_extra
 from testbed.logs.history import History, VehicleHistory, gather
 from testbed.logs.log_reader import LogReader, log_of
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import alone
 from testbed.report.figures import figures
 from testbed.report.verdict import NOTHING_TO_JUDGE
-from testbed.run.experiment import toml
+from testbed.run.experiment import texts_of
 from testbed.run.post_mortem import judged
 from testbed.run.table import Table
 
@@ -122,7 +123,8 @@ class Run(Mapping[str, Vehicle]):
 
     def to_pandas(self) -> Any:
         """All vehicles in one pandas DataFrame, the vehicle's name in the first column."""
-        import pandas as pd
+        with needs_extra("notebook"):
+            import pandas as pd
 
         frames = []
         for name in self:
@@ -165,9 +167,7 @@ class Run(Mapping[str, Vehicle]):
         Raises:
             TestbedError: see `testbed.fork`.
         """
-        values = {**(changes or {}), **more}
-        texts = [f"{key}={toml(value)}" for key, value in values.items()]
-        return self.fly_on(self, t, *texts, log=log)
+        return self.fly_on(self, t, *texts_of("fork", changes, more), log=log)
 
     def __repr__(self) -> str:
         m = self.metrics

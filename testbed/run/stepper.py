@@ -1,6 +1,7 @@
 """The twin, stepped tick by tick from your own loop."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,6 +15,7 @@ from testbed.flight.agent import lead_time
 from testbed.flight.flow import flow_shares
 from testbed.flight.loop import VehicleNode
 from testbed.rig.chain import make_agent
+from testbed.run.arguments import check_experiment, wrong
 
 Times = tuple[int, ...]  # of each jet [us]
 Pulses = tuple[Times, Times]  # open times and offsets
@@ -26,7 +28,8 @@ class Twin:
     noisy poses, the safety filter and the gate act, and the forces become valve pulses.
 
     Args:
-        experiment: from `testbed.load`; its law is not used.
+        experiment: from `testbed.load`; its law and its duration are not used: your loop ends the
+            flight.
 
     Attributes:
         t: time of the next tick [s].
@@ -34,6 +37,7 @@ class Twin:
     """
 
     def __init__(self, experiment: Experiment) -> None:
+        check_experiment("testbed.Twin", experiment)
         setups = experiment.vehicles
         self.t, self.period, self._k = 0.0, experiment.flight.jet_period_s, 0
         self._lead = {name: lead_time(setup.model) for name, setup in setups.items()}
@@ -56,7 +60,7 @@ class Twin:
             for name in setups
         ]  # fmt: skip
 
-    def step(self, forces: Mapping[str, tuple[float, ...]]) -> dict[str, Tick]:
+    def step(self, forces: Mapping[str, Sequence[float]]) -> dict[str, Tick]:
         """Fly one jet period.
 
         Args:
@@ -67,7 +71,8 @@ class Twin:
             Inputs and outputs of each vehicle in this tick: `tick.outputs.state.pose`.
 
         Raises:
-            TestbedError: the experiment has no such vehicle.
+            TestbedError: the experiment has no such vehicle, or a force is not two or three finite
+                numbers.
         """
         for name in forces:
             if name not in self._links:
@@ -77,11 +82,22 @@ class Twin:
                 )  # fmt: skip
         demands: dict[str, Demand] = {}
         for name in self._links:
-            fx, fy, *heading = forces.get(name, (0.0, 0.0))
-            theta = float(heading[0]) if heading else self._heading[name]
+            fx, fy, theta = self._asked(name, forces.get(name, (0.0, 0.0)))
             at, life = self.effect_at(name), 2.0 * self.period
-            demands[name] = Demand(at, float(fx), float(fy), theta, 0.0, 0.0, at + life)
+            demands[name] = Demand(at, fx, fy, theta, 0.0, 0.0, at + life)
         return self.obey(demands)
+
+    def _asked(self, name: str, force: Sequence[float]) -> tuple[float, float, float]:
+        """A vehicle's force and heading."""
+        try:
+            fx, fy, theta = map(float, (*force, self._heading[name])[:3])
+            fits = len(force) <= 3 and all(map(math.isfinite, (fx, fy, theta)))
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            expected = "fx, fy [N] and, if wanted, the heading [rad]: 2 or 3 finite numbers"
+            raise wrong(f"Twin.step, {name}", expected, force)
+        return fx, fy, theta
 
     def effect_at(self, name: str) -> float:
         """When the pulses of the next tick take effect [s]."""

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.extra import needs_extra
+
 Array = NDArray[Any]
 SHOWN_ROWS = 10
 
@@ -42,7 +44,8 @@ class Table(Mapping[str, Array]):
 
     def to_pandas(self) -> Any:
         """The same as a pandas DataFrame; the units are in `.attrs["units"]`."""
-        import pandas as pd
+        with needs_extra("notebook"):
+            import pandas as pd
 
         frame = pd.DataFrame({name: list(c) if c.ndim > 1 else c for name, c in self.items()})
         frame.attrs["units"] = dict(self.units)
@@ -50,7 +53,8 @@ class Table(Mapping[str, Array]):
 
     def to_arrow(self) -> Any:
         """The same as a pyarrow Table; the units are in the metadata of the fields."""
-        import pyarrow as pa
+        with needs_extra("export"):
+            import pyarrow as pa
 
         fields = [
             pa.field(name, pa.array(column).type, metadata={"unit": self.units.get(name, "")})

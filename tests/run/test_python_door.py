@@ -1,5 +1,6 @@
 """`import testbed`: what a script or a notebook is promised."""
 
+import math
 import os
 import signal
 import subprocess
@@ -214,3 +215,73 @@ def test_two_twins_of_one_seed_fly_the_same(hold):
         for _ in range(10):
             twin.step({"sat1": (0.1, 0.1)})
     assert one.true_state("sat1") == two.true_state("sat1")
+
+
+@pytest.mark.parametrize(
+    ("call", "where", "expected", "found"),
+    [
+        (lambda e, r: testbed.fly("hold"), "testbed.fly", "from testbed.load", "'hold'"),
+        (lambda e, r: testbed.Twin("hold"), "testbed.Twin", "from testbed.load", "'hold'"),
+        (lambda e, r: testbed.sweep("hold"), "testbed.sweep", "from testbed.load", "'hold'"),
+        (lambda e, r: testbed.fly_many(["hold"]), "testbed.fly_many", "testbed.load", "'hold'"),
+        (lambda e, r: testbed.fly_many(e), "testbed.fly_many", "a list of experiments", "Experim"),
+        (
+            lambda e, r: testbed.load("hold", ["duration_s=5"]),
+            "testbed.load", "key=value", "['duration_s=5']",
+        ),
+        (lambda e, r: testbed.replay(r, 5), "testbed.replay", "key=value", "5"),
+        (lambda e, r: r.fork("20", {"seed": 4}), "fork", "a time of the flight", "'20'"),
+        (lambda e, r: r.fork(math.nan, {"seed": 4}), "fork", "a time of the flight", "nan"),
+        (lambda e, r: r.fork(2.0, ["seed=4"]), "fork", "values by key", "['seed=4']"),
+        (lambda e, r: e.with_(["seed=4"]), "with_", "values by key", "['seed=4']"),
+        (
+            lambda e, r: testbed.sweep(e, over={"controller.bandwidth": 0.3}),
+            "over['controller.bandwidth']", "a list of values", "0.3",
+        ),
+        (lambda e, r: testbed.sweep(e, over=["seed"]), "over", "values by key", "['seed']"),
+        (lambda e, r: testbed.sweep(e, seeds=2), "seeds", "a list of seeds", "2"),
+    ],
+)  # fmt: skip
+def test_a_wrong_argument_says_where_and_what(hold, run, call, where, expected, found):
+    with pytest.raises(testbed.TestbedError) as caught:
+        call(hold, run)
+    error = caught.value
+    assert where in error.where
+    assert expected in error.expected
+    assert found in error.found
+
+
+@pytest.mark.parametrize(
+    "force",
+    [(1.0,), (), (math.nan, 0.0), (0.0, math.inf), (0.0, 0.0, 0.0, 0.0), 1.0, ("x", 0.0), None],
+)
+def test_the_twin_refuses_what_is_no_force(hold, force):
+    twin = testbed.Twin(hold)
+    with pytest.raises(testbed.TestbedError, match="2 or 3 finite numbers") as caught:
+        twin.step({"sat1": force})
+    assert (caught.value.where, caught.value.found) == ("Twin.step, sat1", repr(force))
+    assert twin.t == 0.0
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(testbed.TestbedError, match=r"no such folder: .*nosuch") as caught:
+        testbed.open_run(tmp_path / "nosuch")
+    assert "config.toml" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "call"),
+    [
+        ("pandas", "notebook", lambda run: run.to_pandas()),
+        ("pandas", "notebook", lambda run: run.table("sat1").to_pandas()),
+        ("pyarrow", "export", lambda run: run.table("sat1").to_arrow()),
+    ],
+)
+def test_a_package_that_is_missing_is_named_with_its_pip_line(
+    run, monkeypatch, package, extra, call
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(testbed.TestbedError, match=rf"`{package}` is not installed") as caught:
+        call(run)
+    assert "pip install" in caught.value.expected
+    assert f"[{extra}]" in caught.value.expected

@@ -1,0 +1,61 @@
+"""Checks the arguments of a script's calls: a wrong one is named with what was expected."""
+
+import math
+import reprlib
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
+from typing import Any
+
+from testbed.config import Experiment
+from testbed.core.error import TestbedError
+
+
+def check_experiment(where: str, value: object) -> None:
+    """Refuse what is not an experiment.
+
+    Raises:
+        TestbedError: for instance, the name of an experiment.
+    """
+    if isinstance(value, Experiment):
+        return
+    hint = f"testbed.load({value!r})" if isinstance(value, str) else ""
+    raise wrong(where, "an experiment, from testbed.load", value, hint)
+
+
+def check_overrides(where: str, overrides: Sequence[object]) -> None:
+    """Refuse overrides that are not texts.
+
+    Raises:
+        TestbedError: for instance, one is a list.
+    """
+    for one in overrides:
+        if not isinstance(one, str):
+            hint = "give each as an argument of its own: *overrides"
+            is_list = isinstance(one, list | tuple)
+            raise wrong(where, 'overrides as texts, "key=value"', one, hint if is_list else "")
+
+
+def check_number(where: str, value: object, expected: str) -> None:
+    """Refuse what is not a finite number.
+
+    Raises:
+        TestbedError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+        raise wrong(where, expected, value)
+
+
+def list_of(where: str, value: Iterable[Any], expected: str) -> list[Any]:
+    """The values as a list.
+
+    Raises:
+        TestbedError: it is one value and not several; a text is one value.
+    """
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+        raise wrong(where, expected, value)
+    return list(value)
+
+
+def wrong(where: str, expected: str, found: object, hint: str = "") -> TestbedError:
+    """The error about a wrong argument."""
+    return TestbedError(where=where, expected=expected, found=reprlib.repr(found), hint=hint)
