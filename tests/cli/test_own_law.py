@@ -352,6 +352,56 @@ def test_a_law_that_fails_is_replayed_to_the_last_bit_and_named_in_the_report(te
     assert "sick.py: force is not finite" in page
 
 
+# The bound of its force
+
+GREEDY = """
+class Law:
+    step_s = 0.1
+
+    def force(self, own, neighbours, world, t):
+        return {gain} * (world.goal.p - own.p)
+"""
+
+
+@pytest.mark.parametrize("mode", ["reference", "wrench"])
+def test_a_law_that_asks_for_too_much_flies_with_what_the_jets_give(testbed, here, mode):
+    (here / "my_law.py").write_text(GREEDY.format(gain=1e9))
+    setting = f'controller={{type="python", law="{NAMED}"}}'
+    result = testbed("run", "hold", *SHORT, f'guidance.mode="{mode}"', setting, "--out", "out")
+    assert result.exit_code == 0, result.output
+    metrics = json.loads(Path("out/metrics.json").read_text())
+    assert metrics["vehicles"]["sat1"]["max_force_n"] < 1.3
+
+
+@pytest.mark.parametrize(
+    ("gain", "time", "warned"),
+    [(1e4, 1.0, True), (1e-3, 1.0, False), (1e-3, 1e4, True)],
+)
+def test_check_warns_of_a_law_that_asks_for_too_much_at_the_start(
+    testbed, here, gain, time, warned
+):
+    (here / "my_law.py").write_text(GREEDY.format(gain=gain))
+    setting = f'controller={{type="python", law="{NAMED}", scale={{time={time}}}}}'
+    result = testbed("check", "hold", setting)
+    assert result.exit_code == 0
+    assert ("demand-beyond-thrust: at the start the law asks sat1" in result.stderr) == warned
+
+
+def test_check_warns_of_a_compiled_law_that_limits_nothing(testbed, here):
+    (here / "my_law.py").write_text(
+        "from typing import NamedTuple\nimport numpy as np\n"
+        "from testbed.core.law import CompiledLaw, compiled_rate, no_state\n"
+        "class Gains(NamedTuple):\n    k: float\n"
+        "@compiled_rate(Gains)\n"
+        "def rate(gains, law_state, own, neighbours, world, t):\n"
+        "    return gains.k * (world.goal.p - own.p), np.empty(0)\n"
+        "def Law():\n    return CompiledLaw(Gains(1e4), no_state, rate)\n"
+    )
+    result = testbed("check", "hold", f'controller={{type="python", law="{NAMED}"}}')
+    assert result.exit_code == 0
+    assert "a compiled law must limit its own" in result.stderr
+
+
 # Heard
 
 
