@@ -120,6 +120,8 @@ def motion(
         return OK
     warn([note for log in logs for note in log.notes])
     warn([f"{one['name']}: {one['text']}" for one in result["suspicions"]])
+    if result["kept"]:
+        warn([f"not identifiable, kept as in {vehicle}: {', '.join(result['kept'])}"])
     for name, row in result["parameters"].items():
         kept = "" if row["chosen"] else "  kept as in the file"
         note = "" if row["identifiable"] else "  not identifiable from this log"
@@ -130,10 +132,13 @@ def motion(
         )
     for row in result["jets"]:
         note = "" if row["identifiable"] else "  not identifiable from this log"
+        kept = "  kept as in the file" if row["kept"] else ""
+        if not (row["fitted"] or row["kept"] or row["identifiable"]):
+            kept = "  the file's times the common thrust"
         say(
             screen,
             f"jet {row['jet']:<6} {row['thrust_n']:>10.4g} N         95 %: {row['low_n']:.4g} to"
-            f" {row['high_n']:.4g}  {row['state']}{note}",
+            f" {row['high_n']:.4g}  {row['state']}{kept}{note}",
         )
     for line in result["findings"]:
         say(screen, line, "bold")

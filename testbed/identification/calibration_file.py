@@ -1,6 +1,6 @@
 """Results of a calibration, as JSON and as comments of the vehicle file."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ def report_of(c: Calibration, name: str, logs: Sequence[MotionLog]) -> dict[str,
     jets = thrusts(c) if c.model.valves else []
     unknown = [n for n, row in rows.items() if not row["identifiable"]]
     unknown += [f"thrust of jet {row['jet']}" for row in jets if not row["identifiable"]]
+    kept = [n for n, row in rows.items() if not (row["identifiable"] or row["chosen"])]
+    kept += [f"thrust of jet {r['jet']}" for r in jets if r["kept"] and not r["identifiable"]]
     unknown += ["mass (only thrust over mass)"] if c.model.valves else []
     return {
         "vehicle": name,
@@ -40,6 +42,7 @@ def report_of(c: Calibration, name: str, logs: Sequence[MotionLog]) -> dict[str,
         "jets": jets,
         "findings": findings(c),
         "not_identifiable": unknown,
+        "kept": kept,
         "chosen": c.chosen,
         "gains": c.gains,
         "suspicions": [{"name": one.name, "text": one.text} for one in c.suspicions],
@@ -83,21 +86,22 @@ def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: 
             continue
         factor = _factor(c.model, own.name)
         low, high = (factor * one for one in interval(c, k))
-        if not identifiable(c, k):
-            notes[place] = _add(notes.get(place), f"{own.name}: as in {name}, not identifiable")
-        elif k not in c.estimate.free:
-            text = f"{own.name}: as in {name}; these logs: {low:.4g} to {high:.4g}"
-            notes[place] = _add(notes.get(place), text)
+        if k in c.estimate.free:
+            text = f"fitted, {low:.4g} to {high:.4g}"
+        elif identifiable(c, k):
+            text = f"as in {name}; these logs: {low:.4g} to {high:.4g}"
         else:
-            text = f"{own.name}: fitted, {low:.4g} to {high:.4g}"
-            notes[place] = _add(notes.get(place), text)
+            text = f"as in {name}, not identifiable"
+        notes[place] = _add(notes.get(place), f"{own.name}: {text}")
     if c.model.valves:
         notes["mass"] = f"as in {name}: only thrust over mass is identifiable"
+        notes["valve.close_delay_s"] = f"open_delay_s + hold; {notes['valve.close_delay_s']}"
+    else:
+        notes["valve.close_delay_s"] = f"open_delay_s, and the difference of {name}"
+    if c.vehicle.valve.min_off_s != c.model.vehicle.valve.min_off_s:
+        notes["valve.min_off_s"] = f"longer than in {name}: the valve closes until then"
     for row in thrusts(c) if c.model.valves else []:
-        words = "" if row["state"] == "ok" else f", {row['state']}"
-        note = "" if row["identifiable"] else ", not identifiable"
-        text = f"fitted, {row['low_n']:.4g} to {row['high_n']:.4g} N{words}{note}"
-        notes[f"jets.{row['jet'] - 1}"] = text
+        notes[f"jets.{row['jet'] - 1}"] = _of_jet(row, name)
     origin = [f"{Path(log.where).name}, sha256 {log.digest}, {span(log)}" for log in logs]
     origin.append(f"values that were not fitted: vehicle {name}")
     p = c.estimate.p
@@ -111,6 +115,21 @@ PLACES = {
     "spin_drag": "spin_drag", "delay": "valve.open_delay_s", "hold": "valve.close_delay_s",
     "droop": "air.droop",
 }  # fmt: skip
+
+
+def _of_jet(row: Mapping[str, Any], name: str) -> str:
+    """Where the thrust of a jet comes from, in words."""
+    reach = f"{row['low_n']:.4g} to {row['high_n']:.4g} N"
+    words = "" if row["state"] == "ok" else f", {row['state']}"
+    if row["fitted"]:
+        alone = "" if row["identifiable"] else ", with the other jets: not identifiable alone"
+        return f"fitted, {reach}{words}{alone}"
+    if row["kept"]:
+        note = "" if row["identifiable"] else ", not identifiable"
+        return f"as in {name}{words}{note}; these logs: {reach}"
+    if not row["identifiable"]:
+        return f"as in {name}, times the common thrust{words}; not identifiable alone, {reach}"
+    return f"fitted, {reach}{words}"
 
 
 def _add(before: str | None, text: str) -> str:

@@ -21,6 +21,7 @@ WEAK = 0.75
 BETTER = 25.0  # of chi^2, by which an exchange must explain more
 LEVER = 0.2  # [m] of a free torque
 INFLATED = 2.0  # errors within a window go together
+BESIDE = ("delay", "hold", "slope", "drag", "spin_drag", "droop")  # fitted beside the wrenches
 
 
 class JetFinding(NamedTuple):
@@ -44,8 +45,9 @@ def examine(model: VehicleModel, p: Array, logs: Sequence[Windows]) -> list[JetF
     weights = huber(pieces)
     level = float(np.average([np.mean(q.error**2) for q in pieces], weights=weights))
     matrix, side = normal(pieces, weights / level)
-    covariance = np.linalg.inv(matrix / INFLATED**2 + np.eye(3 * jets))
-    change = covariance @ (side / INFLATED**2)
+    known = np.concatenate([np.ones(3 * jets), model.sigma[model.of_groups(BESIDE)] ** -2])
+    covariance = np.linalg.inv(matrix / INFLATED**2 + np.diag(known))
+    change = (covariance @ (side / INFLATED**2))[: 3 * jets]
     wrench = base / sizes[:, None] + change.reshape(jets, 3).T
     nominal = base / sizes[:, None]
     blocks = [covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] for j in range(jets)]
@@ -105,17 +107,23 @@ def _linearised(
                 rhs = ((windows.seen[w, seen] - flown[w, seen]) / scales).ravel()
                 states[w] += np.linalg.lstsq(lhs, rhs, rcond=None)[0]
         flown, by_state = fly_with_slopes(model, p, windows, states)
-        slopes = np.zeros((*flown.shape, 3 * jets))
+        beside = model.of_groups(BESIDE)
+        slopes = np.zeros((*flown.shape, 3 * jets + len(beside)))
         for j in range(jets):
             for axis in range(3):
                 effect = base.copy()
                 effect[axis, j] += 0.05 * sizes[axis]
                 moved = fly(model, p, windows, states, effect)
                 slopes[..., 3 * j + axis] = (moved - flown) / 0.05
+        for k, own in enumerate(beside):
+            nudged = p.copy()
+            nudged[own] += model.step[own]
+            moved = fly(model, nudged, windows, states)
+            slopes[..., 3 * jets + k] = (moved - flown) / model.step[own]
         for w, seen in enumerate(use):
             error = ((windows.seen[w, seen] - flown[w, seen]) / scales).ravel()
             by_x = (by_state[w, seen] / scales[:, None]).reshape(-1, 6)
-            by_e = (slopes[w, seen] / scales[:, None]).reshape(-1, 3 * jets)
+            by_e = (slopes[w, seen] / scales[:, None]).reshape(-1, slopes.shape[-1])
             q, _ = np.linalg.qr(by_x)
             found.append(Piece(number, w, error - q @ (q.T @ error), by_e - q @ (q.T @ by_e)))
     return found

@@ -5,6 +5,7 @@ estimated; with commanded wrenches the mass is estimated.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -85,6 +86,13 @@ class VehicleModel:
         self.step = np.array([p.step for p in self.parameters])
         self.least = np.array([p.least for p in self.parameters])
         self.plant = nominal_plant(vehicle)
+        self.held: list[int] = []  # positions that no fit moves, see `holding`
+
+    def holding(self, positions: Sequence[int]) -> "VehicleModel":
+        """The same model, but no fit moves these numbers."""
+        other = copy(self)
+        other.held = list(positions)
+        return other
 
     @property
     def groups(self) -> list[str]:
@@ -96,8 +104,9 @@ class VehicleModel:
         return self.names.index(name)
 
     def of_groups(self, groups: Sequence[str]) -> NDArray[np.int64]:
-        """Positions of the parameters of some groups."""
-        return np.array([k for k, p in enumerate(self.parameters) if p.group in groups])
+        """Positions of the parameters of some groups, without those that are held."""
+        found = [k for k, p in enumerate(self.parameters) if p.group in groups]
+        return np.array([k for k in found if k not in self.held], dtype=np.int64)
 
     def thrust(self, p: Array) -> Array:
         """Relative thrust of each jet."""

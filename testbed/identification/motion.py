@@ -16,7 +16,7 @@ from testbed.identification.motion_log import MotionLog
 from testbed.identification.moved_jets import by_moved_jets
 from testbed.identification.other_vehicle import between_logs, by_levers, by_thrust
 from testbed.identification.prediction import Valves
-from testbed.identification.selection import choose
+from testbed.identification.selection import choose, needed
 from testbed.identification.suspicion import Suspicion, start_of, suspicions
 from testbed.identification.windows import Windows, tiled
 
@@ -41,6 +41,7 @@ class Calibration(NamedTuple):
     jets: list[JetFinding]
     suspicions: list[Suspicion]
     logs: list[Windows]
+    held: list[int]  # positions at the file's value, because the logs do not tell them
 
 
 class RefusedError(LogRefusedError):
@@ -117,8 +118,60 @@ def _calibrated(
     refusing = [one for one in doubts if one.refuses]
     if refusing and not force:
         raise RefusedError(refusing, where)
-    fitted = model.fitted(estimate.p)
-    return Calibration(fitted, model, estimate, wide, chosen, gains, jets, doubts, windows)
+    progress("hold what the logs do not tell")
+    found = Calibration(vehicle, model, estimate, wide, chosen, gains, jets, doubts, windows, [])
+    found = _settled(found)
+    return found._replace(vehicle=model.fitted(found.estimate.p))
+
+
+def _settled(c: Calibration) -> Calibration:
+    """The calibration with what the logs do not tell held at the file's value.
+
+    With it held there, the groups are chosen again and the other numbers are fitted.
+    """
+    values = np.array([one.value for one in c.model.parameters])
+    while True:
+        c = c._replace(jets=_certain(c))
+        held = _untold(c)
+        if held == c.held:
+            return c
+        own, start = c.model.holding(held), c.wide.p.copy()
+        start[held] = values[held]
+        groups = [g for g in own.groups if np.isin(own.of_groups([g]), c.wide.free).all()]
+        rest = fit(own, c.logs, [g for g in groups if len(own.of_groups([g]))], start)
+        chosen, gains = choose(own, rest, c.logs)
+        start, free = c.model.prior.copy(), own.of_groups(chosen)
+        start[held], start[free] = values[held], rest.p[free]
+        estimate = fit(own, c.logs, chosen, start)
+        c = c._replace(held=held, estimate=estimate, chosen=chosen, gains=gains)
+
+
+def _untold(c: Calibration) -> list[int]:
+    """Positions of the fitted numbers that are to keep the file's value.
+
+    A jet whose thrust is not identifiable gets the file's times the common factor, unless single
+    jets predict so much better that the logs do tell that they differ.
+    """
+    jets = len(c.model.vehicle.jets) if c.model.valves else 0
+    held = {int(k) for k in c.estimate.free if not 0 < k <= jets and not identifiable(c, int(k))}
+    alike = not jets or "jets" not in c.chosen or not needed("jets", c.model, c.wide, c.logs)
+    for row in thrusts(c) if jets else []:
+        if not row["identifiable"] and (alike or row["state"] == "not excited"):
+            held.add(row["jet"])
+    return sorted(held.union(c.held))
+
+
+def _certain(c: Calibration) -> list[JetFinding]:
+    """Findings without a dead or weak jet whose interval has the file's thrust in it."""
+    if not c.model.valves:
+        return c.jets
+    doubtful = [row["jet"] - 1 for row in thrusts(c) if row["high_n"] >= row["file_n"]]
+    return [
+        one._replace(state="not excited")
+        if one.state in ("dead", "weak") and one.jet in doubtful
+        else one
+        for one in c.jets
+    ]
 
 
 def _fitted_widely(
@@ -140,7 +193,15 @@ def _fitted_widely(
     groups = model.groups
     if not model.valves:
         groups = [g for g in groups if g not in _unidentifiable_from_wrenches(logs)]
-    return model, jets, fit(model, windows, groups, _merged(model, rough))
+    wide = fit(model, windows, groups, _merged(model, rough))
+    all_of_them = Calibration(model.vehicle, model, wide, wide, groups, {}, jets, [], [], [])
+    certain = _certain(all_of_them)
+    if certain == jets:
+        return model, jets, wide
+    for before, now in zip(jets, certain, strict=True):
+        if now != before:
+            model.prior[1 + now.jet] = model.parameters[1 + now.jet].value
+    return model, certain, fit(model, windows, groups, _merged(model, rough))
 
 
 def _of_another(
@@ -214,8 +275,12 @@ def _merged(model: VehicleModel, rough: Estimate) -> Array:
 
 def identifiable(calibration: Calibration, k: int) -> bool:
     """Whether the logs tell the number `k` of the model."""
-    wide = calibration.wide
-    return bool(k in wide.free and wide.sigma[k] < IDENTIFIABLE * calibration.model.sigma[k])
+    c = calibration
+    told = k in c.wide.free and k not in c.held
+    reach = c.wide.sigma[k]
+    if k == 0:  # trades with droop: telling it means that the choice of groups changes little
+        reach = np.hypot(reach, c.wide.p[0] - c.estimate.p[0])
+    return bool(told and reach < IDENTIFIABLE * c.model.sigma[k])
 
 
 def interval(calibration: Calibration, k: int) -> tuple[float, float]:
@@ -252,6 +317,8 @@ def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
             "jet": j + 1, "thrust_n": value, "low_n": max(0.0, value - reach),
             "high_n": value + reach, "file_n": nominal, "state": found.state,
             "exchanged_with": found.other + 1 if found.other >= 0 else None,
-            "identifiable": bool(found.state != "not excited" and sigma < IDENTIFIABLE * own),
+            "identifiable": found.state in ("dead", "weak")
+            or bool(found.state != "not excited" and sigma < IDENTIFIABLE * own),
+            "fitted": 1 + j in c.estimate.free, "kept": bool(value == nominal),
         })  # fmt: skip
     return rows

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 TIME_FOLDS, REGION_FOLDS = 6, 4
 ALWAYS = ("thrust", "delay", "slope")  # no table is level
 LEAST_GAIN = 0.0005  # of the error, relative
+NEEDED = 1.0  # the same, without a group over with it: the square error of unseen parts doubles
+SURE = 2.0  # standard deviations
 
 
 def folds(estimate: Estimate, logs: Sequence[Windows]) -> list[NDArray[np.int64]]:
@@ -58,6 +60,16 @@ def choose(
         chosen.append(best)
         rest.remove(best)
     return chosen, gains
+
+
+def needed(group: str, model: VehicleModel, estimate: Estimate, logs: Sequence[Windows]) -> bool:
+    """Whether unseen parts are predicted far worse without a group; `estimate` is of all groups."""
+    parts = folds(estimate, logs)
+    groups = list(dict.fromkeys(model.parameters[k].group for k in estimate.free))
+    full = unseen(model, estimate, parts, groups)
+    worse = unseen(model, estimate, parts, [g for g in groups if g != group]) - full
+    error = worse.std() / np.sqrt(len(worse))
+    return bool(worse.mean() > NEEDED * full.mean() and worse.mean() > SURE * error)
 
 
 def unseen(
