@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from msgspec import structs
 from rich.console import Console
 
+from testbed.cli.base_table import table_of, tilted
 from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.refusal import refuse, warn
 from testbed.cli.screen import say
 from testbed.core.error import TestbedError
-from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 from testbed.identification.calibration_file import report_of, save
 from testbed.identification.cameras import latency_of, seen_in_flight
@@ -34,7 +33,8 @@ from testbed.identification.validation import validate
 from testbed.identification.validation_page import write_page
 from testbed.identification.vehicle_file import load_vehicle, write_vehicle
 
-screen = Console(stderr=True, highlight=False, soft_wrap=True)
+screen = Console(highlight=False, soft_wrap=True)
+steps = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def today() -> Any:
@@ -102,14 +102,14 @@ def motion(
         logs = read_logs(asked)
         found = calibrate_motion(
             logs, load_vehicle(vehicle), others=vehicles_of(asked), force=force,
-            progress=lambda text: None if as_json else say(screen, text, "dim"),
+            progress=lambda text: None if as_json else say(steps, text, "dim"),
         )  # fmt: skip
         if out is not None:
             save(out, found, vehicle, logs, today())
         if table_out is not None:
             slope = [float(found.estimate.p[found.model.index(a)]) for a in ("slope_x", "slope_y")]
             origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
-            write_table(table_out, tilted(load_table(None), slope), origin, today())
+            write_table(table_out, tilted(table_of(*asked[:2]), slope), origin, today())
     except RefusedError as error:
         return refused(error, as_json=as_json)
     except TestbedError as error:
@@ -208,7 +208,8 @@ def floor(
     """Learn the slope map; write it as a table file, its vehicle and a page."""
     try:
         logs = read_logs(asked)
-        own, base = load_vehicle(vehicle), load_table(table)
+        own = load_vehicle(vehicle)
+        base = load_table(table) if table or asked[1] else table_of(*asked[:2])
         named = load_mapping(asked[1]).table if asked[1] else None
         span = size or named or base.size
         found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
@@ -270,12 +271,6 @@ def slope(
         f" at most {1e3 * largest:.1f} mm/s^2",
     )
     return OK
-
-
-def tilted(table: Table, slope: list[float]) -> Table:
-    """The table with this uniform slope [m/s^2]."""
-    tilt = structs.replace(table.tilt, uniform=(slope[0], slope[1]), map=[])
-    return structs.replace(table, tilt=tilt)
 
 
 def np_max(slope: Any, known: Any) -> float:

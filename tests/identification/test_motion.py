@@ -10,12 +10,13 @@ from click.testing import CliRunner
 from msgspec import structs
 
 from testbed.cli.main import main
-from testbed.config import SHIPPED
+from testbed.config import SHIPPED, load
 from testbed.identification.calibration_file import report_of
 from testbed.identification.jets import examine
 from testbed.identification.model import VehicleModel
 from testbed.identification.motion import calibrate_motion, identifiable, interval, thrusts
 from testbed.identification.synthetic import excitation, flown_log
+from testbed.identification.table_file import load_table
 from testbed.identification.vehicle_file import load_vehicle, write_vehicle
 from testbed.identification.windows import tiled
 
@@ -169,6 +170,50 @@ def test_a_run_folder_needs_no_mapping(tmp_path):
     code, text = run("validate", folder, "--vehicle", "generic_8jet", "--body", "sat9", "--json")
     assert code == 2
     assert "sat1" in json.loads(text)["expected"]
+
+
+def test_the_table_file_has_the_size_of_the_mapping(files, tmp_path):
+    mapping, log, _ = files
+    sized, out = tmp_path / "sized.toml", tmp_path / "table.toml"
+    sized.write_text("table = [3.5, 2.4]\n" + mapping.read_text())
+    words = ["--vehicle", "generic_8jet", "--until", 20, "--table-out", out, "--json"]
+    assert run("calibrate", "motion", log, "--mapping", sized, *words)[0] == 0
+    assert load_table(str(out)).size == (3.5, 2.4)
+
+
+def test_the_table_file_of_a_run_has_the_size_of_its_table(tmp_path):
+    folder, out = tmp_path / "run", tmp_path / "table.toml"
+    words = [
+        "run",
+        "hold",
+        "duration_s=30",
+        "criteria={}",
+        "table.size=[4.3,4.1]",
+        "--seed",
+        "3",
+        "--json",
+        "--out",
+    ]
+    assert run(*words, folder)[0] == 0
+    words = ["--vehicle", "generic_8jet", "--table-out", out, "--json", "--force"]
+    code, text = run("calibrate", "motion", folder, *words)
+    assert code == 0, text
+    assert load_table(str(out)).size == load(folder / "config.toml").table.size
+
+
+def test_results_are_on_standard_output_and_steps_on_standard_error(files):
+    mapping, log, _ = files
+    words = [log, "--mapping", mapping, "--vehicle", "generic_8jet", "--until", 20]
+    fitted = CliRunner().invoke(main, ["calibrate", "motion", *map(str, words)])
+    assert "jet 1 " in fitted.stdout
+    assert "cross-validate" not in fitted.stdout
+    assert "cross-validate" in fitted.stderr
+    judged = CliRunner().invoke(main, ["validate", *map(str, words)])
+    assert "s ahead" in judged.stdout
+    words = ["excite", "--vehicle", "generic_8jet", "--seconds", "20"]
+    designed = CliRunner().invoke(main, words)
+    assert designed.exit_code == 0, designed.output
+    assert "pulses" in designed.stdout
 
 
 def test_a_log_without_a_mapping_is_refused(files):
