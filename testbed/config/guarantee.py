@@ -13,6 +13,7 @@ from testbed.core.law import Concern, Discs
 from testbed.flight.allocation import weakest_force
 
 SPARE = 1.1  # allowed ratio of mass and force to the design values
+ROUNDED = 1e-9  # [m]
 LOOKS = 200  # samples of a goal's path, for its largest acceleration
 
 
@@ -37,7 +38,7 @@ def warnings_of(experiment: Experiment) -> list[Concern]:
         ),
     )
     found = concerns(experiment.controller, list(experiment.vehicles), start)
-    found += _unseen(experiment) + _unwatched(experiment)
+    found += _unseen(experiment) + _within_reach(experiment) + _unwatched(experiment)
     return [*found, *_field(experiment, start.max_force)]
 
 
@@ -53,6 +54,23 @@ def _unseen(experiment: Experiment) -> list[Concern]:
         return []
     text = f"nothing in the law keeps off {', '.join(experiment.obstacles)}"
     return [Concern("obstacles-unseen", text)]
+
+
+def _within_reach(experiment: Experiment) -> list[Concern]:
+    """Warn about solid cores that a vehicle touches although its centre keeps the danger radius."""
+    setups, found = experiment.vehicles, []
+    widest = max(setups, key=lambda name: setups[name].model.radius)
+    wide = setups[widest].model.radius
+    for name, obstacle in experiment.obstacles.items():
+        touch = obstacle.solid + wide
+        if obstacle.solid > 0.0 and touch > obstacle.radius + ROUNDED:
+            text = (
+                f"{widest} touches the core of {name} at {touch:g} m, and laws and safety filter"
+                f" keep its centre only {obstacle.radius:g} m away;"
+                f" obstacles.{name}.radius should be {touch:g} m or more"
+            )
+            found.append(Concern("core-within-reach", text))
+    return found
 
 
 def _unwatched(experiment: Experiment) -> list[Concern]:

@@ -15,30 +15,19 @@ TAKEN = ("host", "operator", "table", "truth")  # reserved names on the network 
 LARGEST_TABLE = 100.0  # [m]
 STEEPEST = 1.0  # tilt, 6 degrees [m/s^2]
 PATH_LOOKS = 1000
-ROUNDED = 1e-9  # [m]
 
 
 def bad_layout(experiment: Experiment) -> Iterator[Violation]:
     """Errors in names and places."""
     yield from _names(experiment)
     yield from _ground(experiment.table)
+    for name, obstacle in experiment.obstacles.items():
+        if obstacle.solid > obstacle.radius:
+            expected = f"at most the danger radius, {obstacle.radius:g} m"
+            yield Violation(("obstacles", name, "solid"), expected, f"{obstacle.solid:g} m")
     for name, setup in experiment.vehicles.items():
         yield from _poses(name, setup, experiment)
-    yield from _cores(experiment)
     yield from _neighbours(experiment)
-
-
-def _cores(experiment: Experiment) -> Iterator[Violation]:
-    """A vehicle outside the danger radius of every obstacle must touch none of them."""
-    widest = max((setup.model.radius for setup in experiment.vehicles.values()), default=0.0)
-    for name, obstacle in experiment.obstacles.items():
-        need = obstacle.solid + widest
-        if obstacle.solid > 0.0 and need > obstacle.radius + ROUNDED:
-            expected = (
-                f"at most {max(0.0, obstacle.radius - widest):g} m, or a danger radius of at least"
-                f" {need:g} m: it must hold the core and the widest vehicle's radius, {widest:g} m"
-            )
-            yield Violation(("obstacles", name, "solid"), expected, f"{obstacle.solid:g} m")
 
 
 def _names(experiment: Experiment) -> Iterator[Violation]:
@@ -101,7 +90,7 @@ def _poses(name: str, setup: VehicleSetup, experiment: Experiment) -> Iterator[V
             yield Violation((*key, 2), "a heading in radians, at most 2 pi", f"{pose[2]:g}")
         for other, obstacle in experiment.obstacles.items():
             if which == "start" or obstacle.velocity == (0.0, 0.0):
-                yield from _inside(key, pose, other, obstacle)
+                yield from _inside(key, pose, radius, other, obstacle)
 
 
 def _path(
@@ -118,11 +107,14 @@ def _path(
 
 
 def _inside(
-    key: tuple[str, ...], pose: tuple[float, ...], name: str, obstacle: Obstacle
+    key: tuple[str, ...], pose: tuple[float, ...], radius: float, name: str, obstacle: Obstacle
 ) -> Iterator[Violation]:
-    gap = math.dist(pose[:2], obstacle.position)
-    if gap < obstacle.radius:
-        expected = f"outside obstacle {name}, at least {obstacle.radius:g} m from its centre"
+    gap, need = (
+        math.dist(pose[:2], obstacle.position),
+        max(obstacle.radius, obstacle.solid + radius),
+    )
+    if gap < need:
+        expected = f"outside obstacle {name}, at least {need:g} m from its centre"
         yield Violation(key, expected, f"{gap:.3f} m")
 
 

@@ -35,6 +35,12 @@ WARNED = {  # experiment, what is changed: what is said
     "a boundary layer is always said": ("xue2024_table_varying", [], ["boundary-layer"]),
     "true sgn": ("xue2024_table_varying", ["controller.layer=0.0"], ["lock-in"]),
     "as shipped, static obstacle": ("xue2021_table_static", [], []),
+    "a core that the rim of a vehicle reaches": (
+        "xue2021_table_static", ["obstacles.o1.solid=0.3"], ["core-within-reach"],
+    ),
+    "a core as wide as a vehicle may touch": (
+        "xue2021_table_static", ["obstacles.o1.solid=0.25"], [],
+    ),
     "Theorem 2 has an unverifiable condition": (
         "xue2021_table_dynamic", [], ["beta-unproven", "boundary-layer"],
     ),

@@ -261,10 +261,7 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
                                         "0.100 m"),
     "vehicles.sat2.goal=[0.9,0.9,0]": ("", "outside obstacle o2, at least 0.8 m from its centre",
                                        "0.100 m"),
-    "obstacles.o1.solid=0.7": (
-        "", "at most 0.6 m, or a danger radius of at least 0.9 m: it must hold the core and the"
-        " widest vehicle's radius, 0.2 m", "0.7 m",
-    ),
+    "obstacles.o1.solid=0.9": ("", "at most the danger radius, 0.8 m", "0.9 m"),
     "table.size=[6000,6000]": ("table.size.1", "metres, at most 100", "6000"),
     "table.tilt.uniform=[1.7,1]": ("", "m/s^2, at most 1: a slope of 6 degrees", "1.97231"),
     "table.tilt.map=[[[0,0],[0,0]],[[0,0],[0,50]]]": (
