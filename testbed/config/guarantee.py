@@ -1,4 +1,4 @@
-"""Warns if an experiment violates the assumptions of its law's proof."""
+"""Warns before a flight: of a proof that does not hold, of obstacles, of missing detectors."""
 
 import math
 

@@ -156,10 +156,11 @@ def test_unlike_vehicles_that_close_in_as_their_filters_allow_have_room(other, g
     """Each filter lets its vehicle use half of the gap, at half of what its jets can do."""
     theirs = other * HARD
     mine, its = (math.sqrt(0.5 * gap * hard) for hard in (HARD, theirs))
-    for faster, least in ((0.99, 0.0), (1.01, -np.inf)):
-        discs = discs_of([(KEEP + gap, 0.0, -faster * its, 0.0, KEEP, 0.5)], theirs)
-        spare = filtered(0.0, 0.0, 0.0, 0.0, faster * mine, 0.0, 0.0, 0.0, discs, LIMITS, 1.0)[3]
-        assert (spare >= 0.0) == (least == 0.0)
+    for share, has_room in ((0.99, True), (1.01, False)):
+        other_vehicle = (KEEP + gap, 0.0, -share * its, 0.0, KEEP, 0.5)
+        discs = discs_of([other_vehicle], theirs)
+        spare = filtered(0.0, 0.0, 0.0, 0.0, share * mine, 0.0, 0.0, 0.0, discs, LIMITS, 1.0)[3]
+        assert (spare >= 0.0) == has_room
 
 
 def test_spare_room_does_not_count_an_obstacle_that_moves():

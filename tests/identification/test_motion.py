@@ -183,18 +183,8 @@ def test_the_table_file_has_the_size_of_the_mapping(files, tmp_path):
 
 def test_the_table_file_of_a_run_has_the_size_of_its_table(tmp_path):
     folder, out = tmp_path / "run", tmp_path / "table.toml"
-    words = [
-        "run",
-        "hold",
-        "duration_s=30",
-        "criteria={}",
-        "table.size=[4.3,4.1]",
-        "--seed",
-        "3",
-        "--json",
-        "--out",
-    ]
-    assert run(*words, folder)[0] == 0
+    flown = "run hold duration_s=30 criteria={} table.size=[4.3,4.1] --seed 3 --json --out"
+    assert run(*flown.split(), folder)[0] == 0
     words = ["--vehicle", "generic_8jet", "--table-out", out, "--json", "--force"]
     code, text = run("calibrate", "motion", folder, *words)
     assert code == 0, text
