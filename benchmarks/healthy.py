@@ -1,11 +1,12 @@
 """Do random healthy vehicles fly on? Every stop of a healthy vehicle is false.
 
-    python benchmarks/healthy.py [--flights 200] [--seed 0] [--jobs 1] [--show 17]
+    python benchmarks/healthy.py [--flights 200] [--seed 0] [--jobs 1] [--centre 100] [--show 17]
 
 Flight k of a seed is always the same. Drawn are the valves' opening delay and shortest pulse, the
 thrust, the mass, the cameras' rate and noise, the table's slope, the spread of the thrust, losses
 of 60 ms of the cameras, and losses of the radio; `RANGES` has the limits. Two vehicles fly the
-start of zhang2023's experiment or one vehicle moves a metre and turns a radian.
+start of zhang2023's experiment or one vehicle moves a metre and turns a radian. With `--centre` the
+centre of mass is up to so many millimetres off the origin on each axis, as the file says.
 
 Prints each false stop, contact, compensated jet and named cause of motion (a healthy vehicle has
 none) with the corner of the ranges in which it lies, then a count by cause. `--show K` prints the
@@ -16,6 +17,7 @@ import argparse
 import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from typing import NamedTuple
 
@@ -70,7 +72,7 @@ def draw(seed: int, number: int) -> dict[str, float]:
             return drawn
 
 
-def overrides_of(drawn: dict[str, float], number: int, lasts: float) -> list[str]:
+def overrides_of(drawn: dict[str, float], number: int, lasts: float, centre: float) -> list[str]:
     """What differs from the shipped files, as for `testbed run`."""
     rng = np.random.default_rng(number)
     way = rng.uniform(0.0, 2.0 * np.pi)
@@ -95,6 +97,8 @@ def overrides_of(drawn: dict[str, float], number: int, lasts: float) -> list[str
         "table.link.burst_loss": max(0.5, radio),
     }
     words = [f"{key}={value:.6g}" for key, value in numbers.items()]
+    x, y = 1e-3 * centre * rng.uniform(-1.0, 1.0, 2)
+    words.append(f"{model}.com=[{x:.6g},{y:.6g}]")
     words.append(f"table.tilt.uniform=[{tilt * np.cos(way):.6g},{tilt * np.sin(way):.6g}]")
     if number % 3:
         words += ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
@@ -106,11 +110,11 @@ def name_of(number: int) -> str:
     return "hold" if number % 3 else "zhang2023_table_wrench"
 
 
-def fly(seed: int, number: int, lasts: float) -> Flown:
+def fly(number: int, seed: int, lasts: float, centre: float) -> Flown:
     """One flight."""
     drawn = draw(seed, number)
     try:
-        experiment = load(find(name_of(number)), overrides_of(drawn, number, lasts))
+        experiment = load(find(name_of(number)), overrides_of(drawn, number, lasts, centre))
         rig, notes = make_twin(experiment), Notes()
         ending = rig.fly(notes)
     except ConfigError as error:
@@ -147,19 +151,21 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lasts", type=float, default=LASTS_S, help="of a flight [s]")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--centre", type=float, default=0.0, help="off the origin, at most [mm]")
     parser.add_argument("--show", type=int)
     options = parser.parse_args()
     if options.show is not None:
-        words = overrides_of(draw(options.seed, options.show), options.show, options.lasts)
+        drawn = draw(options.seed, options.show)
+        words = overrides_of(drawn, options.show, options.lasts, options.centre)
         print(f"testbed run {name_of(options.show)} " + " ".join(f"'{word}'" for word in words))
         return 0
     numbers = range(options.flights)
-    seeds, lasts = [options.seed] * options.flights, [options.lasts] * options.flights
+    flown_as = partial(fly, seed=options.seed, lasts=options.lasts, centre=options.centre)
     if options.jobs == 1:
-        flown = list(map(fly, seeds, numbers, lasts))
+        flown = list(map(flown_as, numbers))
     else:
         with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-            flown = list(pool.map(fly, seeds, numbers, lasts, chunksize=4))
+            flown = list(pool.map(flown_as, numbers, chunksize=4))
     for one in flown:
         if one.cause or one.contacts:
             print(f"{one.number}: {one.contacts} contacts, {one.text}\n    {corner(one.drawn)}")

@@ -88,7 +88,7 @@ class Estimator:
     """The stage `estimator`."""
 
     def __init__(self, params, vehicle, mocap, memory=8):
-        self.p, self.model = estimator.filter_of(params, mocap), fired.model_of(vehicle)
+        self.p, self.model = estimator.filter_of(params, vehicle, mocap), fired.model_of(vehicle)
         self.delay = vehicle.command_delay_s
         everything, _ = make_memory(len(vehicle.jets), memory, 1, 1)
         self.m, self.fired = everything.fixed[0].estimator, everything.fired

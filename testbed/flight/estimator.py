@@ -8,8 +8,10 @@ The filter's state is at the capture time of the newest pose. Between captures, 
 the present through latency and drop-outs, it is driven by the wrench that the *fired* pulses give,
 valve delay and ramp included. With known pulses a 20 ms old pose is as good as a new one.
 
-The centre of mass is taken at the body's origin here; the few millimetres between them become
-part of the bias.
+Poses and the state are of the body's origin, and so are the setpoints. Forces and the bias move the
+centre of mass, which the file places at c in the body. So a prediction goes there and back:
+
+    x_c = x + r     v_c = v + omega x r     r = R(theta) c
 """
 
 from typing import NamedTuple
@@ -22,7 +24,7 @@ from testbed.core.compiled import compiled, pasted
 from testbed.core.scratch import scratch
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
-from testbed.core.vehicle import NonNegative, Positive
+from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.fired import mean_wrench
 from testbed.flight.pose_check import STILLS, is_still, note_step, off_line
 from testbed.flight.record import record
@@ -100,6 +102,7 @@ def predict_mean(x, fired, model, start, end, flown):
     """
     steps = int(np.ceil((end - start) / SUB_STEP - 1e-9))
     flow = scratch(model.effect.shape[1])
+    go_along(x, model.com, 1.0)
     for k in range(steps):
         a = start + (end - start) * k / steps
         b = start + (end - start) * (k + 1) / steps
@@ -118,6 +121,18 @@ def predict_mean(x, fired, model, start, end, flown):
         for j in range(flow.shape[0]):
             flown[1, j] += h * (flown[0, j] + 0.5 * flow[j])
             flown[0, j] += flow[j]
+    go_along(x, model.com, -1.0)
+
+
+@compiled
+def go_along(x, way, times):
+    """Change a state, in place, to that of the point at `times` times `way` in B [m]."""
+    if way[0] == 0.0 and way[1] == 0.0:
+        return
+    c, s = np.cos(x[2]), np.sin(x[2])
+    rx, ry = times * (c * way[0] - s * way[1]), times * (s * way[0] + c * way[1])
+    x[0], x[1] = x[0] + rx, x[1] + ry
+    x[3], x[4] = x[3] - x[5] * ry, x[4] + x[5] * rx
 
 
 @compiled
@@ -147,12 +162,17 @@ class Filter(NamedTuple):
     gate: float  # innovations beyond this many sigmas are refused
 
 
-def filter_of(params: EstimatorParams, mocap: Mocap) -> Filter:
-    """The variances for a vehicle seen by these cameras."""
+def filter_of(params: EstimatorParams, vehicle: Vehicle, mocap: Mocap) -> Filter:
+    """The variances for a vehicle seen by these cameras.
+
+    An angular acceleration also moves an origin that is off the centre of mass.
+    """
+    lever = vehicle.com[0] ** 2 + vehicle.com[1] ** 2
     return Filter(
         np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16,
         np.array([
-            params.force_noise**2, params.bias_walk**2,
+            params.force_noise**2 + lever * params.torque_noise**2,
+            params.bias_walk**2 + lever * params.spin_bias_walk**2,
             params.torque_noise**2, params.spin_bias_walk**2,
         ]),
         np.array([params.bias_spread**2, params.spin_bias_spread**2]),

@@ -54,7 +54,8 @@ def note(fired, start, end, times_us):
 class Model(NamedTuple):
     """Constants of the vehicle for compiled code."""
 
-    effect: Array  # (3, n), see jets.py
+    effect: Array  # (3, n), about the centre of mass, see jets.py
+    com: tuple[float, float]  # centre of mass in B [m]
     mass: float  # [kg]
     inertia: float  # [kg m^2]
     droop: float  # see vehicle.Air
@@ -67,6 +68,7 @@ def model_of(vehicle: Vehicle) -> Model:
     """The constants of a vehicle file."""
     return Model(
         effect_matrix(vehicle.jets, about=vehicle.com),
+        (float(vehicle.com[0]), float(vehicle.com[1])),
         vehicle.mass,
         vehicle.inertia,
         vehicle.air.droop,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
 from testbed.core.scratch import scratch
-from testbed.core.se2 import wrap_compiled
+from testbed.core.se2 import to_table_compiled, wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import Vehicle
 from testbed.flight.hypotheses import ALL, DELAYED, DELAYS, PUSHED, ROTATED, SLOWED, X, Y, pads_of
@@ -46,7 +46,8 @@ FAR = 6.0  # sigmas: an innovation that changes by so much more than jets can pu
 class Known(NamedTuple):
     """Constants of the vehicle for compiled code."""
 
-    noise: Array  # variance of a pose, of position and heading, (2,)
+    com: tuple[float, float]  # centre of mass in B, which the filter follows [m]
+    noise: Array  # variance of its pose, of position and heading, (2,)
     pulse: float  # error of a pulse, relative, one sigma
     rolls: float  # variance of the slope's change over a way [m^2/s^4 / m]
     sure: Array  # 1 / tolerance^2 of z: thrust and direction of jets, inertia, mass centre, (m,)
@@ -100,11 +101,19 @@ def hear(p, m, sums, flown, model, thrust_scale, sample):
     since = m.t - m.since
     m.poses += 1
     m.at[0], m.at[1] = m.at[0] + since, m.at[1] + since * since
-    m.seen[0], m.seen[1] = m.seen[0] + sample[1], m.seen[1] + sample[2]
+    x, y = centre_of(p, sample)
+    m.seen[0], m.seen[1] = m.seen[0] + x, m.seen[1] + y
     m.seen[2] += wrap_compiled(sample[3] - m.heading)
     sums.ways[:] += flown[1]
     if since > p.period - 1e-6:
         look(p, m, sums, flown, model, thrust_scale)
+
+
+@compiled
+def centre_of(p, sample):
+    """Where the centre of mass is at a pose of the origin [m]."""
+    x, y = to_table_compiled(sample[3], p.com[0], p.com[1])
+    return sample[1] + x, sample[2] + y
 
 
 @compiled
@@ -114,8 +123,10 @@ def begin(p, m, sums, flown, sample):
     if sums.cov[0, 0] == 0.0:
         clear(p, sums)
     m.x[:, 0:2] = 0.0
+    m.x[0, 0], m.x[1, 0] = centre_of(p, sample)
+    m.x[2, 0] = sample[3]
     for axis in range(3):
-        m.x[axis, 0], slope = sample[axis + 1], m.cov[axis, 2, 2]
+        slope = m.cov[axis, 2, 2]
         if slope == 0.0:
             slope = SPIN * SPIN if axis == 2 else SLOPE * SLOPE
         m.cov[axis] = 0.0
@@ -320,9 +331,10 @@ def known_of(
         jet.thrust * ((jet.position[0] - x) * jet.push[0] + (jet.position[1] - y) * jet.push[1])
         for jet in vehicle.jets
     ]
-    period = max(LOOK, 1.0 / mocap.rate_hz)
+    period, turn = max(LOOK, 1.0 / mocap.rate_hz), np.radians(mocap.noise_deg) ** 2
     return Known(
-        np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16,
+        (float(x), float(y)),
+        np.array([mocap.noise**2 + (x * x + y * y) * turn, turn]) + 1e-16,
         vehicle.tolerance.pulse, bumps * bumps / CELL, sure, np.array(turned), pads_of(vehicle),
         hardest, period, 1.0 - min(0.5, FORGETS * period / MEMORY_S),
         1.0 - min(0.5, FORGETS * period / STAYS_S),

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.scratch import scratch
+from testbed.core.se2 import to_table_compiled
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight import innovation_sums, innovations
@@ -72,6 +73,7 @@ class Known(NamedTuple):
     """Constants of the vehicle for compiled code."""
 
     effect: Array  # acceleration by each fully open jet in B, (3, n) [m/s^2, rad/s^2]
+    com: tuple[float, float]  # centre of mass in B [m]
     gyration: float  # mass over inertia [1/m^2]
     droop: float  # see vehicle.Air
     drag: float  # see fired.Model [1/s]
@@ -94,7 +96,7 @@ class Known(NamedTuple):
 
 MEMORY = record(
     seen=int,  # 1: `before` is known
-    before=(4,),  # theta, vx, vy, omega at the last look
+    before=(4,),  # theta, velocity of the centre of mass, omega at the last look
     noted=int,  # ticks since then
     look=int,  # number of the last one
     counted=int,  # looks that count: with poses that were trusted
@@ -147,7 +149,9 @@ def look(p, m, heard, state, duty, thrust_scale):
     m.noted += 1
     if m.seen == 1 and m.noted < p.ticks:
         return
-    now = np.array((state.theta, state.vx, state.vy, state.omega))
+    rx, ry = to_table_compiled(state.theta, p.com[0], p.com[1])
+    vx, vy = state.vx - state.omega * ry, state.vy + state.omega * rx
+    now = np.array((state.theta, vx, vy, state.omega))
     if m.seen == 1:
         m.look += 1
         m.wait = max(0, m.wait - 1)
@@ -233,7 +237,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         known: Known.
         m: MEMORY.
         heard: Heard.
-        now: theta, vx, vy, omega at this look, shape (4,).
+        now: theta, velocity of the centre of mass, omega at this look, shape (4,).
         duty: share of the time since the last one for which each jet flowed, shape (n,).
         thrust_scale: of the thrust at the supply pressure.
     """
@@ -348,8 +352,9 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     tolerances = max(FILED, thrust), bent, max(INERTIA, inertia), tolerance[n]
     believes = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
     return Known(
-        effect, vehicle.mass / vehicle.inertia, vehicle.air.droop,
-        vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia, tolerance**-2.0,
+        effect, (float(vehicle.com[0]), float(vehicle.com[1])), vehicle.mass / vehicle.inertia,
+        vehicle.air.droop, vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia,
+        tolerance**-2.0,
         slope, bumps, ALIKE * (period * (bumps - BUMPS)) ** 2,
         np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
         period * hardest, period,

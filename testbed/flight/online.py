@@ -80,7 +80,7 @@ def model_now(p, model, used, thrust_scale):
     mass = model.mass - used if p.mass else model.mass
     share = max(WEAKEST, thrust_scale) if p.thrust else 1.0
     return Model(
-        model.effect, mass / share, model.inertia / share, model.droop, model.drag,
+        model.effect, model.com, mass / share, model.inertia / share, model.droop, model.drag,
         model.spin_drag, model.valve,
     )  # fmt: skip
 
@@ -91,7 +91,7 @@ def gains_now(p, gains, used):
     mass = gains.mass - used if p.mass else gains.mass
     return Gains(
         gains.bandwidth, gains.damping, gains.heading_bandwidth, gains.heading_damping,
-        gains.brake_decel, mass, gains.inertia, gains.period,
+        gains.brake_decel, mass, gains.inertia, gains.com, gains.period,
     )  # fmt: skip
 
 

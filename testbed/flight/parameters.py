@@ -84,7 +84,7 @@ def make_parameters(
     known = jet_faults.known_of(vehicle, period, flight.estimator, table)
     return Parameters(
         model=fired.model_of(vehicle),
-        filter=estimator.filter_of(flight.estimator, table.mocap),
+        filter=estimator.filter_of(flight.estimator, vehicle, table.mocap),
         online=online.online_of(flight.online, vehicle),
         command_delay=vehicle.command_delay_s,
         gains=tracker.gains_of(flight.tracker, vehicle, period),

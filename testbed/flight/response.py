@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from testbed.core.compiled import compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import Vehicle
-from testbed.flight.estimator import EstimatorParams, correct, predict_covariance
+from testbed.flight.estimator import EstimatorParams, correct, filter_of, predict_covariance
 
 Array = NDArray[np.float64]
 
@@ -64,22 +64,15 @@ def shown(noise, white, walk, frame, latency, period):
     return gained
 
 
-def variances(params: EstimatorParams, mocap: Mocap) -> tuple[tuple[float, float, float], ...]:
-    """Noise, white and walk of `shown`, of push and turn."""
-    turn = float(np.radians(mocap.noise_deg))
-    return (
-        (mocap.noise**2 + 1e-16, params.force_noise**2, params.bias_walk**2),
-        (turn**2 + 1e-16, params.torque_noise**2, params.spin_bias_walk**2),
-    )
-
-
 def response(params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, period: float) -> Array:
     """Response of the estimate to a short push, per look, for force and torque: (LOOKS, 2).
 
     `period` is that of the looks [s].
     """
     frame = 1.0 / mocap.rate_hz
-    (noise, white, walk), (turn_noise, turn_white, turn_walk) = variances(params, mocap)
+    believes = filter_of(params, vehicle, mocap)
+    noise, turn_noise = believes.noise.tolist()
+    white, walk, turn_white, turn_walk = believes.walk.tolist()
     latency = mocap.latency_s + vehicle.command_delay_s + vehicle.valve.open_delay_s
     of_push = shown(noise, white, walk, frame, latency, period)
     of_turn = shown(turn_noise, turn_white, turn_walk, frame, latency, period)

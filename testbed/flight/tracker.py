@@ -37,6 +37,7 @@ class Gains(NamedTuple):
     brake_decel: float
     mass: float  # [kg]
     inertia: float  # [kg m^2]
+    com: tuple[float, float]  # centre of mass in B [m]
     period: float  # [s]
 
 
@@ -44,7 +45,8 @@ def gains_of(params: TrackerParams, vehicle: Vehicle, period: float) -> Gains:
     """The constants of a vehicle's tracker."""
     return Gains(
         params.bandwidth, params.damping, params.heading_bandwidth, params.heading_damping,
-        params.brake_decel, vehicle.mass, vehicle.inertia, period,
+        params.brake_decel, vehicle.mass, vehicle.inertia,
+        (float(vehicle.com[0]), float(vehicle.com[1])), period,
     )  # fmt: skip
 
 
@@ -98,7 +100,7 @@ def track(p, state, ref):
     ax = ref.ax - state.ax + feedback(w, z, ref.x - state.x, ref.vx - state.vx)
     ay = ref.ay - state.ay + feedback(w, z, ref.y - state.y, ref.vy - state.vy)
     fx, fy = to_body_compiled(state.theta, p.mass * ax, p.mass * ay)
-    return fx, fy, torque(p, state, ref.theta, ref.omega, ref.alpha)
+    return about_origin(p, state, fx, fy, torque(p, state, ref.theta, ref.omega, ref.alpha))
 
 
 @compiled
@@ -106,7 +108,19 @@ def obey(p, state, demand):
     """Body wrench of a demanded force, turned at the heading half a period ahead."""
     theta = state.theta + 0.5 * p.period * state.omega
     fx, fy = to_body_compiled(theta, demand.fx, demand.fy)
-    return fx, fy, torque(p, state, demand.theta, demand.omega, demand.alpha)
+    tau = torque(p, state, demand.theta, demand.omega, demand.alpha)
+    return about_origin(p, state, fx, fy, tau)
+
+
+@compiled
+def about_origin(p, state, fx, fy, tau):
+    """Wrench that moves the origin as fx, fy would if it were the centre of mass.
+
+    The centre is at c in B. The acceleration of the origin is less by alpha x c - omega^2 c.
+    """
+    alpha, spin2 = tau / p.inertia + state.alpha, state.omega * state.omega
+    x, y = p.com
+    return fx - p.mass * (alpha * y + spin2 * x), fy + p.mass * (alpha * x - spin2 * y), tau
 
 
 @compiled
@@ -134,7 +148,7 @@ def braking_wrench(p, state, decel):
     theta = state.theta + 0.5 * p.period * state.omega
     fx, fy = to_body_compiled(theta, p.mass * ax, p.mass * ay)
     slow = max(0.5, p.period)  # heading is stopped slowly: the jets are needed for the speed [s]
-    return fx, fy, p.inertia * (-state.omega / slow - state.alpha)
+    return about_origin(p, state, fx, fy, p.inertia * (-state.omega / slow - state.alpha))
 
 
 @compiled

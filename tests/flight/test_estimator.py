@@ -261,6 +261,9 @@ def integrated(vehicle, plans, x, start, end):
         c, s = math.cos(x[2] + 0.5 * h * x[5]), math.sin(x[2] + 0.5 * h * x[5])
         a = np.array([c * fx - s * fy, s * fx + c * fy, tau])
         a = a / [vehicle.mass, vehicle.mass, vehicle.inertia] + x[6:]
+        bx, by = vehicle.com
+        rx, ry = c * bx - s * by, s * bx + c * by
+        a += [a[2] * ry + x[5] ** 2 * rx, -a[2] * rx + x[5] ** 2 * ry, 0.0]  # of the origin
         x[:3] += h * (x[3:6] + 0.5 * h * a)
         x[3:6] += h * a
     return x
@@ -272,17 +275,24 @@ def fair(vehicle):
     return replace(vehicle, air=replace(vehicle.air, droop=0.0))
 
 
-@pytest.fixture
-def knowing(fair, table):
+def knows(vehicle, table):
     """An estimator that believes nothing but its first pose and its pulses."""
     stubborn = EstimatorParams(speed_spread=0.0, bias_spread=0.0, spin_bias_spread=0.0)
-    return Estimator(stubborn, fair, table.mocap)
+    return Estimator(stubborn, vehicle, table.mocap)
+
+
+@pytest.fixture
+def knowing(fair, table):
+    return knows(fair, table)
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("blind", [0.02, 0.1, 0.3, 0.5])
-def test_oracle_prediction_through_fired_pulses(blind, seed, fair, knowing):
+@pytest.mark.parametrize("com", [(0.0, 0.0), (0.1, 0.05)])
+def test_oracle_prediction_through_fired_pulses(com, blind, seed, fair, table):
     # `blind` seconds without a pose, up to the gate's limit
+    fair = replace(fair, com=com)
+    knowing = knows(fair, table)
     plans = draw_plans(np.random.default_rng(seed), 6)
     now = 0.6
     seen = now - blind

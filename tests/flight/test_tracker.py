@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from stages import Tracker, brake, carry_forward, due
 from testbed.core.se2 import to_table
@@ -32,6 +33,8 @@ def fly(vehicle, command, make_state, x, bias, ticks, period=PERIOD):
         wrench = command(k * period, state)
         fx, fy = to_table(state.pose.theta, wrench.fx, wrench.fy)
         a = np.array([fx / vehicle.mass, fy / vehicle.mass, wrench.tau / vehicle.inertia]) + bias
+        rx, ry = to_table(state.pose.theta, *vehicle.com)
+        a[:2] += a[2] * ry + v[2] ** 2 * rx, v[2] ** 2 * ry - a[2] * rx  # of the origin
         path.append(np.concatenate([p + period * (v + 0.5 * period * a), v + period * a]))
     return np.array(path)
 
@@ -41,8 +44,11 @@ def tracker(vehicle):
     return Tracker(PARAMS, vehicle)
 
 
+@pytest.mark.parametrize("com", [(0.0, 0.0), (0.1, -0.2)])
 @pytest.mark.parametrize("theta", [0.0, 0.7, 3.0])
-def test_no_steady_error_under_a_bias(theta, vehicle, tracker, make_state):
+def test_no_steady_error_under_a_bias(theta, com, vehicle, make_state):
+    vehicle = replace(vehicle, com=com)
+    tracker = Tracker(PARAMS, vehicle)
     goal = reference((0.3, -0.2, theta))
     path = fly(
         vehicle, lambda t, state: tracker.track(state, goal), make_state,
@@ -71,6 +77,17 @@ def test_on_the_reference_only_its_acceleration_is_asked_for(vehicle, tracker, m
     fx, fy = to_table(0.5, wrench.fx, wrench.fy)
     assert (fx, fy) == pytest.approx((vehicle.mass * 0.02, vehicle.mass * 0.03))
     assert wrench.tau == pytest.approx(vehicle.inertia * -0.1)
+
+
+def test_an_origin_off_the_centre_is_moved_like_the_centre(vehicle, make_state):
+    # the lever's acceleration of a spinning body that is sped up, added by hand
+    heavy = replace(vehicle, com=(0.1, 0.05))
+    asked = reference((1.0, 2.0, 0.0), (0.1, -0.2, 0.3), (0.02, 0.03, -0.1))
+    wrench = Tracker(PARAMS, heavy).track(make_state((1.0, 2.0, 0.0), (0.1, -0.2, 0.3)), asked)
+    centre = np.array([wrench.fx, wrench.fy]) / heavy.mass
+    origin = centre - (-0.1) * np.array([-0.05, 0.1]) + 0.3**2 * np.array([0.1, 0.05])
+    assert origin == pytest.approx([0.02, 0.03])
+    assert wrench.tau == pytest.approx(heavy.inertia * -0.1)
 
 
 def test_an_accelerating_reference_is_followed_without_lag(vehicle, tracker, make_state):
