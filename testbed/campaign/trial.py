@@ -15,7 +15,6 @@ from msgspec.structs import replace
 from testbed.campaign.row import FlownRun, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, dump, loads
-from testbed.flight.loop import Ending
 from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.scheduling import no_garbage_collection, settle
 from testbed.rig.chain import watched
@@ -41,12 +40,12 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> FlownRun:
             with no_garbage_collection():
                 ending = rig.fly(judge)
             if ending.fault is None and (complained := complaint()):
-                ending = Ending(ending.t, complained)
+                ending = replace(ending, fault=complained)
         completed = ending.fault is None
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
         (outcome, reason), criteria = outcome_of(metrics), metrics.criteria or {}
-        fault, fault_t = ending.fault, judge.fault_t
+        fault, fault_t = ending.fault, ending.found_t
     except ConfigError as error:
         outcome = "refused"
         reason = f"{error.key}: expected {error.expected}, found {error.found}"

@@ -28,15 +28,14 @@ from testbed.metrics.admission import (
 )
 from testbed.metrics.run_metrics import obstacle_distances
 from testbed.rig.chain import fence_of
-from testbed.rig.observers import FirstFaultObserver
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 
 def fly_once(experiment: Experiment, seed: int) -> AdmissionFlight:
     """One flight in the twin, without injected faults."""
     rig = make_twin(replace(experiment, seed=seed, inject=[]))
-    witness = FirstFaultObserver()
-    ending = rig.fly(witness)
+    ending = rig.fly(NullObserver())
     track, models = rig.track(), {n: s.model for n, s in experiment.vehicles.items()}
     radii = [model.radius for model in models.values()]
     solid = {n: obstacle for n, obstacle in experiment.obstacles.items() if obstacle.solid > 0.0}
@@ -55,7 +54,7 @@ def fly_once(experiment: Experiment, seed: int) -> AdmissionFlight:
         min(rims, default=None),
         max(spent[name].gas / model.air.gas for name, model in models.items()),
         max((spent[name].openings or 0) / len(model.jets) for name, model in models.items()),
-        witness.fault_t,
+        ending.found_t,
     )
 
 

@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from controllers.pd import PdParams
 from testbed.config.experiment import Experiment
 from testbed.config.key import Key
-from testbed.config.thresholds import blind_s
+from testbed.config.thresholds import blind_s, silence_s
 from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
+from testbed.flight.gate import GateParams
 from testbed.flight.jet_faults import slopes
 from testbed.flight.parameters import SPARE_FORCE
 
@@ -112,7 +113,7 @@ def most_torque(push: NDArray[np.float64], turn: NDArray[np.float64]) -> float:
 def defaults_of(experiment: Experiment) -> list[Default]:
     """Every derived default, with its arithmetic."""
     found = [*_guidance(experiment), *_flight(experiment), *_estimator(experiment)]
-    return [*found, _gate(experiment), *_law(experiment)]
+    return [*found, *_gate(experiment), *_law(experiment)]
 
 
 def fit(experiment: Experiment, given: dict[str, Any]) -> Experiment:
@@ -162,11 +163,19 @@ def _guidance(experiment: Experiment) -> Iterator[Default]:
     )  # fmt: skip
 
 
-def _gate(experiment: Experiment) -> Default:
-    """The last line of defence: a little later than the fault table's `pose_lost`."""
-    flight = experiment.flight
+def _gate(experiment: Experiment) -> Iterator[Default]:
+    """The last line of defence: later than the fault table's `pose_lost` and `link_lost`."""
+    flight, guidance = experiment.flight, experiment.guidance
+    period, usual = flight.jet_period_s, GateParams().link_timeout_s
+    planned = guidance.preview_s + guidance.setpoint_life_s
+    silent = max(10.0 * period, silence_s(experiment.table.link, period) - planned)
+    yield Default(
+        ("flight", "gate", "link_timeout_s"), max(usual, silent + 2.0 * period),
+        f"two jet periods after {silent:.2g} s, for which no healthy link is silent after the"
+        f" newest setpoint; at least {usual:g} s",
+    )  # fmt: skip
     blind = blind_s(experiment.table, flight, len(experiment.vehicles))
-    return Default(
+    yield Default(
         ("flight", "gate", "pose_timeout_s"), blind + 2.0 * flight.jet_period_s,
         f"two jet periods after {blind:.2g} s, for which a prediction stays within its room",
     )  # fmt: skip

@@ -35,7 +35,8 @@ from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.pilot import Pilot
 
-SILENT = 1.2  # the host stops all if a vehicle is silent for this long [s]
+SILENT_S = 1.2  # the host stops all if a vehicle is silent for this long [s] ...
+SILENT_TICKS = 12  # ... and for so many ticks, as in the row `neighbour_missing` of faults.toml
 LONGEST_STOP = 15.0  # after a fault the flight ends at the latest after this time [s]
 ENOUGH = 0.9  # of the set pressure: below it a hold ends, while there is gas to brake
 
@@ -211,10 +212,18 @@ class HostNode:
         self._fault = FaultReport(what, f"law on the host: {text}", self.name)
 
 
-def host_fault(name: str, tick: AnyHostTick) -> FaultReport | None:
-    """Fault that the host finds: the vehicle's law failed, or the vehicle is silent."""
+def longest_silence(period: float) -> float:
+    """After this time without a state a vehicle is silent [s]; `period` is of the ticks [s]."""
+    return max(SILENT_S, SILENT_TICKS * period)
+
+
+def host_fault(name: str, tick: AnyHostTick, silent_s: float) -> FaultReport | None:
+    """Fault that the host finds: the vehicle's law failed, or the vehicle is silent.
+
+    `silent_s` is that of `longest_silence`.
+    """
     own_t, t = tick.own_t, tick.t
-    if tick.fault is None and own_t is not None and not t - own_t <= SILENT:
+    if tick.fault is None and own_t is not None and not t - own_t <= silent_s:
         text = f"vehicle silent: nothing heard for {t - own_t:.2f} s"
         return FaultReport(FaultId.VEHICLE_SILENT, text, name)
     return tick.fault
@@ -244,6 +253,7 @@ class Ending(Struct, frozen=True):
 
     t: float  # [s]
     fault: FaultReport | None  # None: flown to the end
+    found_t: float | None = None  # when the fault was found, if it was in a tick [s]
 
 
 def fly(
@@ -267,6 +277,7 @@ def fly(
     """
     fault: FaultReport | None = None
     failed_at, over = 0.0, False
+    silent_s = longest_silence(period)
     k = 0
     while k < ticks:
         if fault is None and (flown := ahead(k)):
@@ -287,16 +298,16 @@ def fly(
         for host in hosts:
             answer = host.tick(t, armed)
             observer.host(host.name, answer)
-            if fault is None and (trouble := host_fault(host.name, answer)) is not None:
+            if fault is None and (trouble := host_fault(host.name, answer, silent_s)):
                 fault, failed_at = trouble, t
         observer.done(t)
         if not armed:
-            return Ending(t, fault)
+            return Ending(t, fault, None if fault is None else failed_at)
         # then one more tick, disarmed, to shut every valve
         over = fault is not None and (shut or t - failed_at >= LONGEST_STOP)
         k += 1
     clock.wait_until(ticks * period)
-    return Ending(ticks * period, fault)
+    return Ending(ticks * period, fault, None if fault is None else failed_at)
 
 
 def hold(

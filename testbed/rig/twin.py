@@ -108,7 +108,7 @@ class TwinRig(Struct, frozen=True):
                 clock, self.vehicles, self.hosts, experiment.flight.jet_period_s, experiment.ticks,
                 observer, stopped=asked, ahead=ahead,
             )  # fmt: skip
-        return Ending(ending.t, ending.fault or self._trouble())
+        return replace(ending, fault=ending.fault or self._trouble())
 
     def _ahead(
         self, observer: Observer, stopped: Callable[[], int]

@@ -31,7 +31,7 @@ from testbed.faults.drill import (
     refused,
 )
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
-from testbed.flight.loop import host_fault
+from testbed.flight.loop import SILENT_S, host_fault, longest_silence
 from testbed.metrics.afterwards import HARD
 from testbed.rig.chain import fence_of
 from testbed.rig.twin import TwinRig, make_twin
@@ -43,7 +43,8 @@ ROOM = 0.15  # clearance around a start [m]
 class Notes:
     """Observer: records faults, responses and valve commands with times."""
 
-    def __init__(self) -> None:
+    def __init__(self, silent_s: float = SILENT_S) -> None:
+        self._silent_s = silent_s  # see loop.host_fault
         self.rows: list[tuple[float, str, str]] = []  # time, vehicle, row of the fault table
         self.responses: list[tuple[float, str, Response]] = []  # time, vehicle, response
         self.faults: list[tuple[float, str, FaultReport]] = []  # time, vehicle, fault
@@ -63,7 +64,7 @@ class Notes:
 
     def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
-        if fault := host_fault(name, tick):
+        if fault := host_fault(name, tick, self._silent_s):
             self.faults.append((tick.inputs.t, name, fault))
 
     def done(self, t: float) -> None:
@@ -72,7 +73,8 @@ class Notes:
 
 def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled:
     """Fly one injection on the twin and judge it; `name` in the catalogue, if not its kind."""
-    rig, notes, row = make_twin(experiment), Notes(), name or what.kind
+    silent_s = longest_silence(experiment.flight.jet_period_s)
+    rig, notes, row = make_twin(experiment), Notes(silent_s), name or what.kind
     ending = rig.fly(notes)
     if rig.red:
         return refused(row, experiment.name, what, experiment.seed, rig.red)

@@ -251,7 +251,7 @@ def _fly_and_judge(
                     wall = time.perf_counter() - began
                     log.reports()
                     if ending.fault is None and (fault := complaint()):
-                        ending = Ending(ending.t, fault)
+                        ending = replace(ending, fault=fault)
                     completed = ending.fault is None and ending.t >= experiment.end_s
                     metrics = measure(rig, references, ending, wall, completed=completed)
                     after = rig.come_to_rest(ending, log, lambda: interrupt.asked)

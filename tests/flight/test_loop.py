@@ -126,7 +126,7 @@ def test_ticks_are_due_at_multiples_of_the_period(diary):
 def test_a_fault_is_told_to_all_and_followed_by_one_disarmed_tick(diary):
     nodes = [Node(diary, "a"), Node(diary, "b", fails_at=1), Node(diary, "c", slow=2)]
     ending = flown(diary, nodes, ticks=9)
-    assert ending == Ending(5 * PERIOD, broke("b"))
+    assert ending == Ending(5 * PERIOD, broke("b"), found_t=PERIOD)
     told = [(entry[0], *entry[2:]) for entry in diary if entry[0] in "abc"]
     # in the tick of the fault the others had their turn already, or have it without knowing
     assert told[:6] == [(name, True, None) for name in "abcabc"]
@@ -152,7 +152,7 @@ def test_a_law_that_dies_on_the_host_is_a_fault_of_all(diary, make_state):
     host = HostNode("a", Dying(), ports, PERIOD, lead=0.0)
     ending = flown(diary, [Node(diary, "a")], [host], ticks=9)
     fault = FaultReport(FaultId.HOST_LAW_RAISED, "law on the host: ZeroDivisionError: of zero", "a")
-    assert ending == Ending(2 * PERIOD, fault)
+    assert ending == Ending(2 * PERIOD, fault, found_t=0.0)
     assert fault.words == "a: law on the host: ZeroDivisionError: of zero"
     assert ports.published == []
 
@@ -168,6 +168,18 @@ def test_long_last_words_of_a_law_are_cut(make_state):
     text = host.tick(0.0).outputs.fault.text
     assert text.startswith("law on the host: ValueError: ooo")
     assert len(text) == len("law on the host: ") + LONGEST_WORDS
+
+
+@pytest.mark.parametrize(("period", "longest"), [(0.05, 1.2), (0.1, 1.2), (1.0, 12.0)])
+def test_a_vehicle_is_silent_after_twelve_ticks(period, longest, diary, make_state):
+    class Deaf(Host):
+        def tick(self, t, *armed):
+            return HostTick(HostInputs(t, make_state(t=0.0), {}), HostOutputs(t, None))
+
+    hosts = [Deaf(diary, "a")]
+    ending = fly(Clock(diary), [Node(diary, "a")], hosts, period, 99, Observer(diary))
+    assert ending.fault.id == FaultId.VEHICLE_SILENT
+    assert longest < ending.found_t <= longest + 1.01 * period
 
 
 def test_the_first_fault_is_the_reason(diary):

@@ -16,6 +16,7 @@ from testbed.core.compiled import settled
 from testbed.flight import chain
 from testbed.flight.barrier import WIDTH
 from testbed.flight.flown_span import FlownSpan
+from testbed.flight.loop import longest_silence
 from testbed.flight.reference_model import code_for
 from testbed.rig.fleet.exchange import hear, law_tick, say
 from testbed.rig.fleet.host import TwinHost
@@ -126,7 +127,8 @@ class Fleet:
             if self._codes is None:
                 self._codes = codes_of(ports, nodes[0], laws[0])
             self._ports = Bundle(FleetPorts(
-                self._codes, Bundle(ports), self._period, *nodes[0], *laws[0],
+                self._codes, Bundle(ports), self._period, longest_silence(self._period),
+                *nodes[0], *laws[0],
                 np.array(nodes, np.int64), np.array(laws, np.int64),
             ))  # fmt: skip
             self._parts = parts

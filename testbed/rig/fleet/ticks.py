@@ -10,7 +10,6 @@ from sim_twin.board import Pulses
 from testbed.core.bundle import Bundle, unpacked
 from testbed.core.code_address import CodeAddress, call, same_kind
 from testbed.core.compiled import compiled, pasted
-from testbed.flight.loop import SILENT
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES, Array, Whole
 from testbed.rig.fleet.exchange import DECLINED, SENT
 
@@ -53,6 +52,7 @@ class FleetPorts(NamedTuple):
     codes: Codes
     twin: Bundle  # of TwinPorts
     period: float  # of a tick [s]
+    silent_s: float  # see loop.longest_silence
     ports: Bundle  # of the first vehicle, for its kind: exchange.VehiclePorts
     table: Bundle  # TickTable
     chain: Bundle  # see chain.step
@@ -171,4 +171,4 @@ def step_law(it, out, k, v, now):
     if status != SENT:
         return False
     out.law_rows[v] += 1
-    return not full and now - unpacked(table).own[row, 0] <= SILENT
+    return not full and now - unpacked(table).own[row, 0] <= it.silent_s

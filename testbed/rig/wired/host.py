@@ -231,7 +231,8 @@ class WireRig:
             ending = flight.fly(observer, stopped, self.supervisor)
             self.results.law_concerns = flight.concerns
             if children is not None:
-                ending = Ending(ending.t, self._blamed(children, ending.fault))
+                fault = self._blamed(children, ending.fault)
+                ending = Ending(ending.t, fault, ending.found_t)
             if flight.stopped:
                 self.supervisor.request(ending.t, "stop")
             self._close(ending)

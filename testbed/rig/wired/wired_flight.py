@@ -46,7 +46,7 @@ from testbed.rig.wired.stop_requests import Asked
 
 PRIORITY = 10  # below the vehicles, which drive the valves
 LEASE_S = 1.0  # lifetime of a lease: as long as the operator may be absent
-LOST_S = 1.0  # a vehicle that is silent for this long is lost
+LOST_S, LOST_TICKS = 1.0, 10  # a vehicle that is silent for so long and so many ticks is lost
 WAIT_S = 4.0  # time for the vehicles' final reports, beyond their longest brake
 LOOK_NS = 20_000_000
 LEASE_NS = 100_000_000  # between two leases after the end
@@ -78,12 +78,15 @@ class Book(Protocol):
 
 
 class RemoteNode:
-    """A vehicle in another process: gives the loop its newest tick."""
+    """A vehicle in another process: gives the loop its newest tick.
+
+    `lost_s` is the time without a tick after which it is lost [s].
+    """
 
     def __init__(
-        self, name: str, jets: int, meet: Callable[[bool, FaultReport | None], None]
+        self, name: str, jets: int, meet: Callable[[bool, FaultReport | None], None], lost_s: float
     ) -> None:
-        self.name, self._meet, self._shut = name, meet, (0,) * jets
+        self.name, self._meet, self._shut, self.lost_s = name, meet, (0,) * jets, lost_s
         self.newest: Tick | None = None
         self.heard_at = 0.0
         self.ended: Ended | None = None
@@ -102,7 +105,7 @@ class RemoteNode:
     def _newest(self, t: float) -> Tick:
         if self.ended is not None:
             return self._silent(t, InhibitReason.VEHICLE_OVER, self.ended.fault)
-        if t - self.heard_at > LOST_S:
+        if t - self.heard_at > self.lost_s:
             text = f"vehicle silent: not heard for {t - self.heard_at:.1f} s"
             fault = FaultReport(FaultId.VEHICLE_SILENT, text)
             return self._silent(t, InhibitReason.VEHICLE_SILENT, fault)
@@ -168,8 +171,9 @@ class HostFlight:
         self._ended = {n: Inbox(open_event, party.run, LOST_S) for n in self._names}
         self._lease, self._seal = Publisher(party.session, keys.lease), Outbox(party.run)
         self._board = LocalMessages()
+        lost_s = max(LOST_S, LOST_TICKS * experiment.flight.jet_period_s)
         self._nodes = {
-            n: RemoteNode(n, len(experiment.vehicles[n].model.jets), self._meet)
+            n: RemoteNode(n, len(experiment.vehicles[n].model.jets), self._meet, lost_s)
             for n in self._names
         }
         states = host_states(party, self._names)
@@ -244,8 +248,6 @@ class HostFlight:
         fault = ending.fault or late
         if fault and late and late.id == FaultId.FLOODED:  # the cause
             fault = late
-        if fault and late and fault.id == FaultId.VEHICLE_SILENT:  # the cause
-            fault = replace(fault, notes=(*fault.notes, f"its last report: {late.words}"))
         self.concerns = [
             Concern(one.name, f"{host.name}: {one.text}")
             for host in hosts
@@ -260,11 +262,14 @@ class HostFlight:
             # late setpoints look like a link fault
             fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
         silent = fault and fault.id == FaultId.VEHICLE_SILENT and self._nodes[fault.vehicle]
-        if fault and (not silent or self._pause.began_s - silent.heard_at < 0.5 * LOST_S):
+        if fault and silent and silent.ended and silent.ended.fault:  # the cause
+            said = f"its last report: {silent.ended.fault.words}"
+            fault = replace(fault, notes=(*fault.notes, said))
+        if fault and (not silent or self._pause.began_s - silent.heard_at < 0.5 * silent.lost_s):
             fault = self._pause.blamed(fault)  # if the vehicle was heard until then
         if fault is None and self._asked.times and not holding:
             fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
-        return Ending(ending.t, fault)
+        return replace(ending, fault=fault)
 
     def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
         """Receive from all vehicles; the loop's data for them goes into the next lease."""
@@ -386,4 +391,4 @@ class HostFlight:
             self._listen()
 
     def _comes_to_rest(self, node: RemoteNode) -> bool:
-        return node.ended is None and self._party.clock.now - node.heard_at <= LOST_S + WORDS_S
+        return node.ended is None and self._party.clock.now - node.heard_at <= node.lost_s + WORDS_S
