@@ -41,12 +41,11 @@ class Extras:
     """Makes standard messages from rows.
 
     Args:
-        epoch_ns: UTC at time 0 of the run.
         every_ns: time of the run between two poses; 0: one per tick.
     """
 
-    def __init__(self, epoch_ns: int, every_ns: int = EVERY_NS) -> None:
-        self._epoch, self._every = epoch_ns, every_ns
+    def __init__(self, every_ns: int = EVERY_NS) -> None:
+        self.epoch, self._every = 0, every_ns  # the first: UTC at time 0 of the run [ns]
         self._due: dict[str, int] = {}  # next message by topic [ns]
         self._state: dict[str, tuple[int, ...]] = {}  # condition in the newest diagnosis
 
@@ -80,7 +79,7 @@ class Extras:
             yield Extra(f"/{name}/supply", SUPPLY_KIND, cdr.encode(SUPPLY_KIND, supply))
 
     def _header(self, stamp: int, frame: str) -> cdr.Message:
-        sec, nanosec = divmod(self._epoch + stamp, 10**9)
+        sec, nanosec = divmod(self.epoch + stamp, 10**9)
         return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame}
 
     def _diagnosis(self, name: str, stamp: int, values: tuple[float, ...]) -> Iterator[Extra]:

@@ -5,6 +5,12 @@ from msgspec import Struct
 READY = b"ready\n"  # the writer's first line
 
 
+class Epoch(Struct, frozen=True, tag=True, array_like=True):
+    """To the writer, before the first topic: UTC at time 0 of the run [ns]."""
+
+    utc_ns: int
+
+
 class Topic(Struct, frozen=True, tag=True, array_like=True):
     """To the writer: a new topic; topics are numbered in the order of these messages."""
 
@@ -33,4 +39,4 @@ class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """To the writer: flush, so that a reader can see everything so far."""
 
 
-Frame = Topic | Messages | Mark
+Frame = Epoch | Topic | Messages | Mark

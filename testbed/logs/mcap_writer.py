@@ -1,6 +1,6 @@
 """The log writer's process: copies frames from a pipe into an MCAP file, until the pipe ends.
 
-    python -m testbed.logs.mcap_writer LOG WARN_BELOW END_BELOW EPOCH_NS
+    python -m testbed.logs.mcap_writer LOG WARN_BELOW END_BELOW
 
 `recorder.py` starts it. If the flight is killed it lives on until the file is finished. One thread
 only empties the pipe, so a slow disk does not affect the flight until 64 MB are queued. Messages go
@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.frames import READY, Frame, Mark, Messages, Rows, Topic
+from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, Rows, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
@@ -124,10 +124,10 @@ class Disk:
 class Log:
     """An MCAP file under way: messages with gapless numbers."""
 
-    def __init__(self, file: File, epoch_ns: int) -> None:
+    def __init__(self, file: File) -> None:
         self.mcap = Writer(file, chunk_size=CHUNK, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
         self.mcap.start(profile="ros2", library="airbearing-testbed")
-        self._epoch, self._number = epoch_ns, 0
+        self.epoch, self._number = 0, 0  # UTC at time 0 of the run [ns]; of the newest message
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
 
@@ -144,13 +144,12 @@ class Log:
     def add(self, channel: int, stamp: int, data: bytes) -> None:
         """Append a message of a time of the run [ns]."""
         self._number += 1
-        at = self._epoch + stamp
+        at = self.epoch + stamp
         self.mcap.add_message(channel, at, data, at, self._number)
 
 
 def write_log(
-    path: Path, received: Iterator[Frame], disk: Disk, say: Callable[[str], object],
-    epoch_ns: int = 0,
+    path: Path, received: Iterator[Frame], disk: Disk, say: Callable[[str], object]
 ) -> None:  # fmt: skip
     """Copy frames into a new file at `path`, never over an older one.
 
@@ -159,7 +158,7 @@ def write_log(
         DiskFullError: the disk is nearly full; the file has been finished.
     """
     file = File(path)
-    log, extras = Log(file, epoch_ns), Extras(epoch_ns)
+    log, extras = Log(file), Extras()
     say(READY.decode().strip())
     topics: list[tuple[int, Topic]] = []
     try:
@@ -172,6 +171,8 @@ def write_log(
                     log.mcap.flush()
                     if warning := disk.check():
                         say(warning)
+                case Epoch(utc_ns):
+                    log.epoch = extras.epoch = utc_ns
                 case Topic(name, kind):
                     topics.append((log.topic(name, kind), frame))
         finish(log.mcap, file)
@@ -208,7 +209,7 @@ def free_at(path: Path) -> int:
 def main() -> int:
     """Write until the pipe ends; on failure returns 1 and prints the reason on stderr."""
     sys.setswitchinterval(SWITCH_S)
-    path, (warn_below, end_below, epoch_ns) = Path(sys.argv[1]), map(int, sys.argv[2:5])
+    path, (warn_below, end_below) = Path(sys.argv[1]), map(int, sys.argv[2:4])
 
     def say(line: str) -> None:
         sys.stderr.write(line + "\n")
@@ -216,7 +217,7 @@ def main() -> int:
 
     disk = Disk(lambda: free_at(path), warn_below, end_below)
     try:
-        write_log(path, frames(read_chunks(sys.stdin.fileno())), disk, say, epoch_ns)
+        write_log(path, frames(read_chunks(sys.stdin.fileno())), disk, say)
     except OSError as error:
         say(f"{error.filename or path}: {error.strerror}")
     except DiskFullError as error:

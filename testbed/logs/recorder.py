@@ -43,7 +43,7 @@ from testbed.core.error import TestbedError
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.logs.block import LARGEST, Block, Column, Columns, Piece
-from testbed.logs.frames import READY, Frame, Mark, Messages, Rows, Topic
+from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, Rows, Topic
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
@@ -93,7 +93,7 @@ class Recorder:
         waits: wait for a slow writer; otherwise rows are lost.
         warn_below, end_below: limits of free disk space [bytes].
         span_ns: time of the run per chunk.
-        epoch_ns: time of the log, UTC, at time 0 of the run.
+        epoch_ns: time of the log, UTC, at time 0 of the run; may be set later, see `epoch_ns`.
 
     Raises:
         RecorderError: on writing or leaving, if the writer failed.
@@ -113,11 +113,12 @@ class Recorder:
     ) -> None:
         self._path, self._waits = path, waits
         self.lost = 0  # rows
+        self.epoch_ns = epoch_ns  # counts until the first row
         self._told = False  # whether lost rows have been reported
         self._pending = bytearray()  # not yet in the pipe
         self._command = [
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
-            *(str(path), str(warn_below), str(end_below), str(epoch_ns)),
+            *(str(path), str(warn_below), str(end_below)),
         ]
         self._met = False  # the writer has created the file
         self._span = span_ns
@@ -230,6 +231,8 @@ class Recorder:
         """The number of a topic, of which the writer is told when it is new."""
         number = self._topics.get(topic)
         if number is None:
+            if not self._topics:
+                self._send(Epoch(self.epoch_ns))
             number = self._topics[topic] = len(self._topics)
             self._send(Topic(topic, kind))
         return number

@@ -119,7 +119,7 @@ def publish(
         speed: of a finished run, as a multiple of real time; None: as it is written.
     """
     said: dict[str, Message] = {}
-    extras = Extras(0, every_ns=0)  # their stamps are UTC already
+    extras = Extras(every_ns=0)  # their stamps are UTC already
     repeated = began = now()
     first: int | None = None
     number = 0

@@ -37,6 +37,13 @@ class PacedClock:
         self._clock.wait_until(t)
 
     @property
+    def began_ns(self) -> int | None:
+        """UTC at time 0 of the run; None before its first tick [ns]."""
+        if self._begun is None:
+            return None
+        return time.time_ns() - round(1e9 * (self._now() - self._begun))
+
+    @property
     def busy_s(self) -> float:
         """Time since the newest tick began [s]."""
         return self._now() - self._woke

@@ -45,6 +45,11 @@ class WallClock:
         """Time of the run [s]."""
         return 1e-9 * (time.monotonic_ns() - self.epoch_ns)
 
+    @property
+    def began_ns(self) -> int:
+        """UTC at time 0 of the run [ns]."""
+        return time.time_ns() - time.monotonic_ns() + self.epoch_ns
+
     def of(self, monotonic: int) -> float:
         """Convert a time of the monotonic clock to the run's time [s]."""
         return 1e-9 * (monotonic - self.epoch_ns)

@@ -34,6 +34,11 @@ class Rig(Protocol):
         ...
 
     @property
+    def began_ns(self) -> int | None:
+        """UTC at time 0 of the run, once that is known [ns]; None: virtual time."""
+        ...
+
+    @property
     def touches(self) -> list[Touch]:
         """Contacts so far; empty on a rig that cannot measure them."""
         ...

@@ -252,6 +252,11 @@ class TwinRig(Struct, frozen=True):
         return self.twin.now
 
     @property
+    def began_ns(self) -> int | None:
+        """See `Rig`."""
+        return None
+
+    @property
     def touches(self) -> list[Touch]:
         """See `Rig`."""
         return [Touch(one.t, one.vehicle, one.other, one.speed) for one in self.twin.plant.touches]

@@ -85,6 +85,7 @@ class FlightLog:
         self._recorder, self._screen, self._pace = recorder, screen, pace
         self._seen = -1.0  # valve data up to this time are logged
         self._logged = 0  # number of phase changes in the log
+        self._dated = False  # whether the log's time is settled
         self.trouble: str | None = None  # error of the log's writer, which ends the flight
         self._next = 0.0  # next time to log the five elements [s]
 
@@ -146,6 +147,11 @@ class FlightLog:
         self._write(partial(self._recorder.write, topic, t, message))
 
     def _write(self, write: Callable[[], None]) -> None:
+        if not self._dated:
+            self._dated = True  # before the first row
+            began_ns = self._rig.began_ns if self._pace is None else self._pace.began_ns
+            if began_ns is not None:
+                self._recorder.epoch_ns = began_ns
         if self.trouble is None:
             try:
                 write()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from testbed.logs.frames import Mark, Messages, Rows, Topic
+from testbed.logs.frames import Epoch, Mark, Messages, Rows, Topic
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_record import HEAD, Message, read_chunk
 from testbed.logs.mcap_writer import Disk, write_log
@@ -27,6 +27,7 @@ def content(tmp_path_factory) -> bytes:
     rng = np.random.default_rng(5)
 
     def frames():
+        yield Epoch(EPOCH)
         yield Topic("/sat1/pace", "Pace")
         yield Topic("/truth", "Truth")
         for k in range(COUNT):
@@ -35,7 +36,7 @@ def content(tmp_path_factory) -> bytes:
             if k % 4 == 3:
                 yield Mark()
 
-    write_log(path, frames(), Disk(lambda: 10**12, 0, 0), str, EPOCH)
+    write_log(path, frames(), Disk(lambda: 10**12, 0, 0), str)
     return path.read_bytes()
 
 

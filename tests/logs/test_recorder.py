@@ -68,6 +68,17 @@ def test_the_time_of_the_log_is_utc(tmp_path):
     assert book.epoch == noon
 
 
+def test_the_time_of_the_log_may_be_known_only_when_the_flight_begins(tmp_path):
+    path, noon = tmp_path / "log.mcap", 1_800_000_000_000_000_000
+    with Recorder(path, epoch_ns=noon - 8_000_000_000) as recorder:
+        recorder.meet()
+        recorder.epoch_ns = noon
+        recorder.write("/truth", 0.5, truth(0.5))
+    book = LogReader(path)
+    assert any(book.read())
+    assert book.epoch == noon
+
+
 def test_the_same_messages_give_the_same_bytes(tmp_path):
     for name in "ab":
         with Recorder(tmp_path / name) as recorder:

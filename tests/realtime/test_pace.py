@@ -1,5 +1,7 @@
 """A clock that keeps step with another: absolute deadlines, lateness read after waking."""
 
+import time
+
 import pytest
 
 from testbed.realtime.pacer import PacedClock
@@ -48,6 +50,15 @@ def test_a_tick_that_takes_too_long_is_late_and_the_next_is_not():
     assert pace.late_s == pytest.approx(0.05)
     pace.wait_until(0.2)
     assert pace.late_s == pytest.approx(0.0)
+
+
+def test_time_0_is_when_the_first_tick_was_due():
+    pace = PacedClock(Virtual(), 1e6)
+    assert pace.began_ns is None
+    before = time.time_ns()
+    pace.wait_until(0.0)
+    after = time.time_ns()
+    assert before - 1_000_000 <= pace.began_ns <= after + 1_000_000  # two clocks
 
 
 def test_it_may_begin_in_the_middle():

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -67,6 +68,7 @@ def fly(name, *overrides, when_started=lambda rig: None, stops=lambda rig: 0):
         when_started(rig)
 
     rig.on_start = started
+    met["asked_ns"] = time.time_ns()
     ending = rig.fly(noted, lambda: stops(rig))
     return rig, ending, noted, met
 
@@ -84,6 +86,12 @@ def test_it_is_flown_to_the_end(flown):
     assert len(noted.ticks["sat1"]) >= 29  # the last one may be under way
     assert rig.results.ended["sat1"].fault is None
     assert rig.touches == []
+
+
+def test_time_0_is_after_arming_and_not_when_the_command_began(flown):
+    rig, ending, _, met = flown
+    assert met["asked_ns"] < rig.began_ns
+    assert rig.began_ns + round(1e9 * ending.t) <= time.time_ns()
 
 
 def test_after_it_the_vehicle_stands(flown):

@@ -144,6 +144,11 @@ class WireRig:
         return self.results.now
 
     @property
+    def began_ns(self) -> int | None:
+        """See `Rig`."""
+        return self.results.began_ns
+
+    @property
     def touches(self) -> list[Touch]:
         """See `Rig`."""
         return self.results.touches
@@ -198,17 +203,11 @@ class WireRig:
         opened, self.results.key_warnings = open_lab(network, self.experiment.vehicles)
         session = stack.enter_context(opened)
         names, title = list(self.experiment.vehicles), self.experiment.name
-        stack.enter_context(
-            noted(
-                network.endpoint,
-                network.lab,
-                network.keys,
-                names,
-                title,
-                say=self._say,
-                folder=self._log,
-            )
-        )
+        note = noted(
+            network.endpoint, network.lab, network.keys, names, title,
+            say=self._say, folder=self._log,
+        )  # fmt: skip
+        stack.enter_context(note)
         keys = Keys(network.lab)
         text = msgspec.json.encode(self.experiment)
         roll = Roll(session, keys, self.experiment.vehicles)

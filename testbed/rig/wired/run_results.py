@@ -48,6 +48,11 @@ class RunResults:
         return None if self.clock is None else self.clock.epoch_ns
 
     @property
+    def began_ns(self) -> int | None:
+        """See `Rig`."""
+        return None if self.clock is None else self.clock.began_ns
+
+    @property
     def now(self) -> float:
         """See `Rig`."""
         return max(0.0, self.clock.now) if self.clock is not None else 0.0
