@@ -207,7 +207,7 @@ class Agent:
         rows: list[float] = []  # one after the other
         for name, one in inputs.neighbours.items():
             pose, twist = one.pose, one.twist
-            keep, hard = NO_FILTER if self.barrier is None else self.barrier.apart_from(name)
+            keep, hard = NO_FILTER if self.barrier is None else self.barrier.neighbour_limit(name)
             rows += (pose.x, pose.y, twist.vx, twist.vy, keep, one.t, hard)
         return np.array(rows, dtype=np.float64).reshape(-1, WIDTH)
 

@@ -313,7 +313,7 @@ class Barrier:
             mass, force, decel, force / mass, period, period + params.reaction_s, params.max_speed,
             half[0] - params.edge_margin, half[1] - params.edge_margin,
         )  # fmt: skip
-        self._apart = {
+        self._neighbours = {
             name: (reach + params.vehicle_margin, force / mass if hard is None else hard[name])
             for name, reach in keep.items()
         }
@@ -324,15 +324,15 @@ class Barrier:
         ])  # fmt: skip
         self._guarded = settled(guarded)
         self._met: tuple[str, ...] = ()  # the others at the last call
-        self._met_apart = np.zeros((0, 2))
+        self._met_limits = np.zeros((0, 2))
 
-    def apart_from(self, name: str) -> tuple[float, float]:
+    def neighbour_limit(self, name: str) -> tuple[float, float]:
         """Distance of the centres to keep [m], and the other's largest deceleration [m/s^2]."""
-        return self._apart[name]
+        return self._neighbours[name]
 
-    def apart(self, names: Iterable[str]) -> Array:
-        """`apart_from` each, shape (n, 2)."""
-        return np.array([self._apart[name] for name in names]).reshape(-1, 2)
+    def neighbour_limits(self, names: Iterable[str]) -> Array:
+        """`neighbour_limit` each, shape (n, 2)."""
+        return np.array([self._neighbours[name] for name in names]).reshape(-1, 2)
 
     def filter(
         self, t: float, force: tuple[float, float], motion: tuple[float, ...],
@@ -357,10 +357,10 @@ class Barrier:
         """`filter` with the states of the other vehicles `names` as rows, see rows.States."""
         (fx, fy), (px, py, vx, vy, bx, by) = force, motion
         if names != self._met:
-            self._met, self._met_apart = names, self.apart(names)
+            self._met, self._met_limits = names, self.neighbour_limits(names)
         others = np.empty((len(names), WIDTH))
         others[:, :2], others[:, 2:4] = states[:, 1:3], states[:, 4:6]
-        others[:, [4, 6]], others[:, 5] = self._met_apart, states[:, 0]
+        others[:, [4, 6]], others[:, 5] = self._met_limits, states[:, 0]
         x, y, hazard, _ = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
             self.obstacles, others, self.limits, max(thrust_scale, WORST_SHARE),

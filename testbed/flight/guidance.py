@@ -314,7 +314,7 @@ class Guidance:
             self._period, self._steps, self._world, others, self._company[1].order,
             barrier is not None, discs_of([]) if barrier is None else barrier.obstacles,
             UNLIMITED if barrier is None else barrier.limits,
-            np.zeros((n, 2)) if barrier is None else barrier.apart(heard.names),
+            np.zeros((n, 2)) if barrier is None else barrier.neighbour_limits(heard.names),
             np.empty((n, WIDTH)), self._ahead, self._params.setpoint_life_s,
         ))  # fmt: skip
 

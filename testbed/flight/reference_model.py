@@ -41,7 +41,7 @@ class ReferenceModel(NamedTuple):
     guards: bool  # a safety filter is on; it has what follows
     obstacles: Array  # see barrier.guarded
     limits: Limits
-    apart: Array  # from the vehicles heard, see Barrier.apart, (n, 2)
+    neighbour_limits: Array  # of the vehicles heard, see Barrier.neighbour_limits, (n, 2)
     near: Array  # written to: these as in barrier.around, (n, 7)
     ahead: Array  # references that are not due yet, see rows.References, (m, 10); shifted
     life: float  # of a setpoint after its last reference [s]
@@ -88,7 +88,8 @@ def advance_model(bundle, states, t, turn, row):
         for i in range(near.shape[0]):
             one = states[i]
             near[i, 0], near[i, 1], near[i, 2], near[i, 3] = one[1], one[2], one[4], one[5]
-            near[i, 4], near[i, 5], near[i, 6] = it.apart[i, 0], one[0], it.apart[i, 1]
+            keep, hard = it.neighbour_limits[i]
+            near[i, 4], near[i, 5], near[i, 6] = keep, one[0], hard
         x, y, hazard, _ = guarded(
             t, fx, fy, px, py, vx, vy, 0.0, 0.0, it.obstacles, near, it.limits, 1.0
         )

@@ -30,7 +30,7 @@ class Hears(NamedTuple):
     setpoint: int  # from the host
     states: Whole  # (n,) from the other vehicles
     vehicles: Whole  # (n,) whose they are
-    apart: Array  # (n, 2) of the safety filter, see Barrier.apart
+    limits: Array  # (n, 2) of the safety filter, see Barrier.neighbour_limits
 
 
 class VehiclePorts(NamedTuple):
@@ -112,7 +112,7 @@ def hear(ports, table, k, t, armed):
         table.states[k, n] = one[:STATE_WIDTH]
         table.vehicles[k, n] = hears.vehicles[i]
         others[n, 0], others[n, 1], others[n, 2], others[n, 3] = one[1], one[2], one[4], one[5]
-        others[n, 4], others[n, 5], others[n, 6] = hears.apart[i, 0], one[0], hears.apart[i, 1]
+        others[n, 4], others[n, 5], others[n, 6] = hears.limits[i, 0], one[0], hears.limits[i, 1]
         n += 1
     counts = table.counts[k]
     counts[SAMPLES], counts[STATES], counts[REFERENCES] = seen, n, ahead

@@ -111,7 +111,7 @@ class TwinNode:
             int(twin.setpoints.rows([(HOST, name)])[0]),
             twin.states.rows((one, name) for one in near),
             np.array([twin.rows[one] for one in near], np.int64),
-            np.zeros((len(near), 2)) if barrier is None else barrier.apart(near),
+            np.zeros((len(near), 2)) if barrier is None else barrier.neighbour_limits(near),
         )
         audience = twin.audience(name)  # may make room for new links
         film, states, setpoints = twin.cameras.film, twin.states.links, twin.setpoints.links
