@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 SETTLED_M = 0.05  # "settled" means an error that stays below this [m]
 KNOWN_JET = 0.2  # a jet's share of thrust is known if its sigma is at most this
 HOLD_S = 30.0  # the last part of a run, which counts as holding [s]
+ROUNDING_S = 1e-6  # times of a flight are sums of periods [s]
 
 
 class FormationCriteria(Struct, frozen=True, forbid_unknown_fields=True):
@@ -281,8 +282,19 @@ def vehicle_metrics(
     aimed: Aim,
     spent: Consumption,
     distances: Mapping[str, float],
+    flown_s: float,
 ) -> VehicleMetrics:
-    """Judge one vehicle's flight; `distances` are those of `obstacle_distances`."""
+    """Judge one vehicle's flight.
+
+    Args:
+        track: true states of all vehicles.
+        vehicle: its number in the track.
+        goal: x, y, theta [m, rad].
+        aimed: its commands.
+        spent: its consumption.
+        distances: those of `obstacle_distances` [m].
+        flown_s: duration of the flight; the last state is up to one frame before its end [s].
+    """
     error = np.hypot(*(track.states[:, vehicle, :2] - np.array(goal[:2])).T)
     end = track.t[-1] if len(track.t) else 0.0
     inside = (aimed.t >= track.t[0]) & (aimed.t <= end) if len(track.t) > 1 else aimed.t < 0
@@ -291,7 +303,7 @@ def vehicle_metrics(
     off = np.sum((flown[:, :2] - asked[:, :2]) ** 2, axis=1)
     turn = np.array([wrap(angle) for angle in (flown[:, 2] - asked[:, 2]).tolist()])
     heading = _rms(turn**2)
-    hold = error[track.t > end - HOLD_S] if end >= HOLD_S else error[:0]
+    hold = error[track.t > end - HOLD_S] if flown_s >= HOLD_S - ROUNDING_S else error[:0]
     return VehicleMetrics(
         final_error_m=float(error[-1]) if len(error) else None,
         settle_s=settle_time(track.t, error) if len(error) else None,

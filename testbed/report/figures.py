@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from testbed.config.experiment import Experiment
 from testbed.core.path import heading_at
 from testbed.logs.history import History
-from testbed.metrics.run_metrics import HOLD_S, Touch, Track
+from testbed.metrics.run_metrics import HOLD_S, ROUNDING_S, Touch, Track
 from testbed.report.fault_story import EventLine
 from testbed.report.goal_error import GoalError, goal_at
 from testbed.report.item import WIDTH, Box, Chart, Item, Limit, Line, Moment, Raster
@@ -72,7 +72,8 @@ def _error(scenario: Experiment, history: History) -> Iterator[Chart]:
     settled = 1e3 * goal_error.settled_m
     items: list[Item] = [Limit(settled, f"settled below {settled:.0f} mm")]
     hold, shape = scenario.criteria.hold_rms_m, scenario.criteria.formation
-    if hold is not None and history.end > HOLD_S:
+    period = scenario.flight.jet_period_s  # after the last tick
+    if hold is not None and history.end + period > HOLD_S - ROUNDING_S:
         items.append(Limit(1e3 * hold, f"hold RMS limit {1e3 * hold:g} mm"))
     if shape is not None and shape.error_m is not None:
         limit = 1e3 * shape.error_m

@@ -48,6 +48,7 @@ def measure(
             references[name].aim(),
             rig.spent(name),
             distances,
+            ending.t,
         )
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     touches = rig.touches
