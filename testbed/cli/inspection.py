@@ -22,6 +22,7 @@ from testbed.config.key import spell
 from testbed.config.law_demand import asks_too_much
 from testbed.config.plausibility import doubts_of
 from testbed.config.thresholds import WORDS, words_in, worked_out
+from testbed.config.unmeasured import never_measured
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 
@@ -53,7 +54,10 @@ def check_experiment(
         print_defaults(experiment, out)
     if faults:
         print_faults(path, experiment, overrides, out)
-    found = [*warnings_of(experiment), *asks_too_much(experiment), *doubts_of(experiment)]
+    found = [
+        *warnings_of(experiment), *asks_too_much(experiment), *never_measured(experiment),
+        *doubts_of(experiment),
+    ]  # fmt: skip
     for warning in found:
         say(errors, f"warning: {warning.name}: {warning.text}", "yellow")
     return OK

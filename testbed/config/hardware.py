@@ -13,7 +13,8 @@ from testbed.core.vehicle import Jet, Point, Vehicle
 
 MOST_JETS = 32
 DENSEST = 0.01  # smallest ratio of radius of gyration to radius
-QUICKEST_STOP = 0.1  # [s] time constant of drag; a vehicle that stops faster does not float
+QUICKEST_STOP, QUICKEST_SPIN_STOP = 0.5, 0.1  # [s] time constants of drag; else it does not float
+MOST_SKEW = 20.0  # of a nozzle [deg]
 HIGHEST_V = 60.0  # highest setting of the valve board
 NEAR = 1e-6  # tolerance of a wrench
 WEAK = 1e-3  # pushes and levers below this share of thrust and radius count as zero
@@ -95,18 +96,33 @@ def push_everywhere(jets: Sequence[Jet], com: Point, radius: float) -> bool:
 
 def _body(vehicle: Vehicle) -> Iterator[Violation]:
     yield from _within(("com",), vehicle.com, vehicle.radius)
-    largest = vehicle.mass * (vehicle.radius**2 - math.hypot(*vehicle.com) ** 2)
-    if vehicle.inertia > largest:
-        expected = f"at most {largest:g} kg m^2: {vehicle.mass:g} kg within {vehicle.radius:g} m"
-        yield Violation(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
-    least = DENSEST**2 * vehicle.mass * vehicle.radius**2
-    if vehicle.inertia < least:
-        expected = f"at least {least:g} kg m^2, or the mass is a point"
-        yield Violation(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
-    for name, mass in (("drag", vehicle.mass), ("spin_drag", vehicle.inertia)):
-        if (drag := getattr(vehicle, name)) > mass / QUICKEST_STOP:
-            expected = f"at most {mass / QUICKEST_STOP:g}: with more it does not float"
+    yield from _inertia(vehicle)
+    for name, largest in (
+        ("drag", vehicle.mass / QUICKEST_STOP),
+        ("spin_drag", vehicle.inertia / QUICKEST_SPIN_STOP),
+    ):
+        if (drag := getattr(vehicle, name)) > largest:
+            expected = f"at most {largest:g}: with more it does not float"
             yield Violation((name,), expected, f"{drag:g}")
+
+
+def _inertia(vehicle: Vehicle) -> Iterator[Violation]:
+    """The mass is within the radius, so an inertia limits how far off the centre of mass is."""
+    mass, inertia, radius = vehicle.mass, vehicle.inertia, vehicle.radius
+    largest, least = mass * radius**2, DENSEST**2 * mass * radius**2
+    found = f"{inertia:g} kg m^2"
+    if inertia > largest:
+        expected = f"at most {largest:g} kg m^2: {mass:g} kg within {radius:g} m"
+        yield Violation(("inertia",), expected, found)
+    elif math.hypot(*vehicle.com) > (furthest := math.sqrt(radius**2 - inertia / mass)):
+        expected = (
+            f"at most {furthest:.3g} m from the origin: {mass:g} kg within {radius:g} m with an"
+            f" inertia of {inertia:g} kg m^2 are not further off"
+        )
+        yield Violation(("com",), expected, show(list(vehicle.com)))
+    if inertia < least:
+        expected = f"at least {least:g} kg m^2, or the mass is a point"
+        yield Violation(("inertia",), expected, found)
 
 
 def _air(vehicle: Vehicle) -> Iterator[Violation]:
@@ -139,6 +155,9 @@ def _spread(vehicle: Vehicle) -> Iterator[Violation]:
     for name in ("thrust", "pulse", "mass", "inertia"):
         if (share := getattr(spread, name)) > 0.5:
             yield Violation(("tolerance", name), "a share, at most 0.5: 5 % is 0.05", f"{share:g}")
+    if spread.direction_deg > MOST_SKEW:
+        expected = f"degrees, at most {MOST_SKEW:g}"
+        yield Violation(("tolerance", "direction_deg"), expected, f"{spread.direction_deg:g}")
     if spread.com > vehicle.radius:
         expected = f"at most the radius, {vehicle.radius:g} m"
         yield Violation(("tolerance", "com"), expected, f"{spread.com:g} m")

@@ -6,7 +6,7 @@ table that the survey in configs/vehicles/generic_8jet.toml names, with a factor
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from controllers.pd import PdParams
 from testbed.config.error import did_you_mean
 from testbed.config.experiment import Experiment, VehicleSetup
 from testbed.config.hardware import WAYS, strength
+from testbed.config.parts import doubtful_parts
 from testbed.core.law import Concern
 from testbed.core.se2 import wrap
 from testbed.core.table import Tilt
@@ -40,7 +41,12 @@ def doubts_of(experiment: Experiment) -> list[Concern]:
             Concern(one, f"{name}: {text}")
             for one, text in _vehicle(setup.model, experiment.table.tilt)
         ]
-        found += [Concern(one, f"{name}: {text}") for one, text in _flight(experiment, setup)]
+        found += [
+            Concern(one, f"{name}: {text}")
+            for one, text in chain(
+                doubtful_parts(experiment, setup.model), _flight(experiment, setup)
+            )
+        ]
     found += [Concern("cameras", text) for text in _cameras(experiment)]
     return [*found, *_wires(experiment)]
 

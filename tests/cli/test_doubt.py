@@ -5,6 +5,7 @@ import re
 import pytest
 
 from testbed.config import SHIPPED, find, load
+from testbed.config.parts import doubtful_parts
 from testbed.config.plausibility import doubts_of
 
 MODEL = "vehicles.sat1.model"
@@ -19,7 +20,14 @@ DOUBTED = {  # what is changed: what is said
     ),
     "inertia in other units": ([f"{MODEL}.inertia=0.003"], ["inertia"]),
     "jets that weaken each other": ([f"{MODEL}.air.droop=0.54"], ["droop"]),
-    "exhaust speed in km/s": ([f"{MODEL}.air.exhaust_speed=0.6"], ["gas"]),
+    "exhaust speed in km/s": ([f"{MODEL}.air.exhaust_speed=0.6"], ["exhaust-speed", "gas"]),
+    "a specific impulse": ([f"{MODEL}.air.exhaust_speed=61"], ["exhaust-speed"]),
+    "a pulse that lasts a jet period": ([f"{MODEL}.valve.min_on_s=0.1"], ["pulse"]),
+    "a vehicle that hardly coasts": ([f"{MODEL}.drag=20", f"{MODEL}.spin_drag=0.4"], ["drag"] * 2),
+    "landing in other units": (
+        [f"{MODEL}.landing.speed=200", f"{MODEL}.landing.room=50", f"{MODEL}.landing.slope=0.5",
+         f"{MODEL}.landing.friction=10"], ["landing"] * 4,
+    ),
     "pressure": ([f"{MODEL}.air.set_pressure=5"], ["pressure"]),
     "slope": (["table.tilt.uniform=[0.05,0.0]"], ["slope"]),
     "noise": (["table.mocap.noise=0.2"], ["cameras"]),
@@ -51,6 +59,21 @@ def test_a_slope_that_the_jets_cannot_hold_is_called_that():
         assert said in one.text
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["duration_s=29.9"], ["criteria.hold_rms_m looks at the last 30 s of a run"]),
+        (["duration_s=30"], []),
+        (["duration_s=20", "criteria={}"], []),
+        (["criteria.formation={error_m=0.1}"], ["criteria.formation is about a formation"]),
+    ],
+)
+def test_a_criterion_that_is_never_measured_is_named(testbed, changes, said):
+    result = testbed("check", "hold", *changes)
+    assert result.exit_code == 0
+    assert re.findall(r"never-measured: (.*), and .*: it is never met", result.stderr) == said
+
+
 @pytest.mark.parametrize("name", SHIPPED_ONES)
 def test_what_is_shipped_is_not_doubted(name):
     found = {one.name for one in doubts_of(load(find(name)))}
@@ -75,6 +98,27 @@ def test_a_forgotten_jet_is_missed_by_its_direction(testbed, tmp_path, lost):
     assert (
         "  sat1: 7 jets, 0.60 N per axis, 0.162 N m, 0.048 m/s^2, at least 21.3 s" in result.stdout
     )
+
+
+@pytest.mark.parametrize(("listed", "said"), [(1, "jets 1 and 9 are"), (8, ", 8 and 16 are")])
+def test_a_jet_that_is_listed_twice_is_named(testbed, tmp_path, listed, said):
+    whole = (SHIPPED / "vehicles" / "generic_8jet.toml").read_text()
+    rows = re.findall(r"^  \{ position = .*\n", whole, re.MULTILINE)
+    file = tmp_path / "twice.toml"
+    file.write_text(whole.replace(rows[7], rows[7] + "".join(rows[:listed])))
+    result = testbed("check", "hold", f"vehicles.sat1.model={file}")
+    assert f"{said} at the same place and push the same way" in result.stderr
+
+
+VEHICLES = sorted({path.resolve().stem for path in (SHIPPED / "vehicles").glob("*.toml")} - {"ita"})
+
+
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_the_parts_of_what_is_shipped_are_not_doubted(vehicle):
+    """Except ita, whose jets stand for propellers."""
+    model = SHIPPED / "vehicles" / f"{vehicle}.toml"
+    experiment = load(find("hold"), [f"vehicles.sat1.model={model}"])
+    assert list(doubtful_parts(experiment, experiment.vehicles["sat1"].model)) == []
 
 
 def test_the_jets_that_are_missing_altogether_are_named(testbed, tmp_path):

@@ -283,7 +283,11 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "vehicles.sat1.model.inertia=1e-9": (
         "", "at least 5e-05 kg m^2, or the mass is a point", "1e-09 kg m^2",
     ),
-    "vehicles.sat1.model.drag=1e6": ("", "at most 125: with more it does not float", "1e+06"),
+    "vehicles.sat1.model.com=[0.18,0]": (
+        "", "at most 0.155 m from the origin: 12.5 kg within 0.2 m with an inertia of 0.2 kg m^2"
+        " are not further off", "[0.18, 0.0]",
+    ),
+    "vehicles.sat1.model.drag=50": ("", "at most 25: with more it does not float", "50"),
     "vehicles.sat1.model.spin_drag=3": ("", "at most 2: with more it does not float", "3"),
     "vehicles.sat1.model.jets=[]": (
         "", "jets that push the body every way and turn it both ways",
@@ -307,6 +311,7 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     ),
     "vehicles.sat1.model.gauges.undervoltage_v=9000": ("", "volts, at most 60", "9000"),
     "vehicles.sat1.model.tolerance.thrust=5": ("", "a share, at most 0.5: 5 % is 0.05", "5"),
+    "vehicles.sat1.model.tolerance.direction_deg=57": ("", "degrees, at most 20", "57"),
     "vehicles.sat1.model.tolerance.com=1": ("", "at most the radius, 0.2 m", "1 m"),
     "vehicles.sat1.model.valve.min_on_s=10": ("", "at most flight.jet_period_s, 0.1 s", "10 s"),
     "vehicles.sat1.model.valve.open_delay_s=6": (
