@@ -1,6 +1,6 @@
 """`testbed.sweep`: one experiment with many values and seeds, as a table."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 from typing import Any
 
@@ -12,7 +12,7 @@ from testbed.campaign.many import LIMIT_S, table_of
 from testbed.campaign.trial import fly, read
 from testbed.campaign.worker import Order
 from testbed.config import Experiment, dump
-from testbed.run.arguments import check_experiment, list_of, wrong
+from testbed.run.arguments import check_count, check_experiment, list_of, wrong
 from testbed.run.experiment import toml
 from testbed.run.table import Table
 
@@ -47,18 +47,17 @@ def sweep(
         key: list_of(f"testbed.sweep, over[{key!r}]", values, "a list of values: [0.2, 0.3]")
         for key, values in (over or {}).items()
     }
+    check_count("testbed.sweep, jobs", jobs, "a number of processes, 1 or more")
     numbers = list_of("testbed.sweep, seeds", seeds, "a list of seeds: range(20)")
     rows = [(values, seed) for values in product(*axes.values()) for seed in numbers]
     base = tomli_w.dumps(dump(experiment))
     orders = [
-        Order(
-            k, base, (*(f"{n}={toml(v)}" for n, v in zip(axes, values, strict=True)), f"seed={s}")
-        )
+        Order(k, base, (*_overrides(axes, values), f"seed={s}"))
         for k, (values, s) in enumerate(rows)
     ]
     for values in dict.fromkeys(order.overrides[:-1] for order in orders):
         read(base, values)  # a wrong key is refused before the first flight
-    if jobs <= 1:
+    if jobs == 1:
         runs = [fly(base, one.k, one.overrides) for one in orders]
     else:
         runs = fly_beside(orders, jobs, LIMIT_S)
@@ -67,6 +66,11 @@ def sweep(
     }
     columns["seed"] = np.array([seed for _, seed in rows], dtype=np.int64)
     return table_of(columns, runs)
+
+
+def _overrides(keys: Iterable[str], values: Iterable[Any]) -> Iterator[str]:
+    for key, value in zip(keys, values, strict=True):
+        yield f"{key}={toml(value, f'testbed.sweep, over[{key!r}]')}"
 
 
 def _column(values: list[Any]) -> np.ndarray:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from testbed.cli.finite import finite
+
 
 @click.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
@@ -12,7 +14,7 @@ import click
     help="File, *.gif or *.mp4.  [default: in RUN; MP4 if ffmpeg is installed]",
 )  # fmt: skip
 @click.option(
-    "--speed", type=click.FloatRange(min=0.0, min_open=True),
+    "--speed", type=click.FloatRange(min=0.0, min_open=True), callback=finite,
     help="Multiple of real time.  [default: at most 30 s of film]",
 )  # fmt: skip
 @click.option(

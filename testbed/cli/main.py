@@ -14,6 +14,7 @@ import click
 from testbed.cli.campaign_verbs import benchmark, campaign, tune
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.film import film
+from testbed.cli.finite import finite
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, commission, poses, stop, twin
@@ -29,6 +30,13 @@ Exit codes:
 """
 
 
+def forget_unknown_width() -> None:
+    """Remove a COLUMNS that is no width: at a width of 0 nothing would be printed."""
+    columns = os.environ.get("COLUMNS", "1")
+    if not columns.isdecimal() or int(columns) == 0:
+        del os.environ["COLUMNS"]
+
+
 @click.group(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=EPILOG,
@@ -36,6 +44,7 @@ Exit codes:
 @click.version_option(package_name="airbearing-testbed", prog_name="testbed")
 def main() -> None:
     """Fly satellite simulators on an air-bearing table or its simulated twin."""
+    forget_unknown_width()
 
 
 @main.command()
@@ -73,6 +82,7 @@ def main() -> None:
 @click.option(
     "--speed",
     type=click.FloatRange(min=0.0, min_open=True),
+    callback=finite,
     help="Multiple of real time.  [default: as fast as possible; 1 with a page]",
 )
 @click.option("--arm", is_flag=True, help="On the table: arm without asking (for scripts).")

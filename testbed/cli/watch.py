@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from testbed.cli.finite import finite
+
 
 @click.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
@@ -29,7 +31,8 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
     help="Domain of ROS 2.",
 )  # fmt: skip
 @click.option(
-    "--speed", type=click.FloatRange(min=0.0, min_open=True), default=1.0, show_default=True,
+    "--speed", type=click.FloatRange(min=0.0, min_open=True), callback=finite, default=1.0,
+    show_default=True,
     help="Multiple of real time.",
 )  # fmt: skip
 @click.pass_context

@@ -18,7 +18,7 @@ from testbed.rig.chain import watched
 from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
-from testbed.run.arguments import check_experiment, check_number, check_overrides
+from testbed.run.arguments import check_experiment, check_number, check_overrides, path_of, wrong
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import new_folder, take_back, utc_ns, write_config, write_metrics
@@ -28,6 +28,7 @@ from testbed.run.progress import Progress
 from testbed.run.replay import replay_experiment
 from testbed.run.report import write_page
 
+NEW, FLOWN = "a new or empty folder", "the folder of a finished run"
 Maker = Callable[[Path], Callable[[Experiment], Rig]]  # for a folder, what builds the rig
 
 
@@ -75,7 +76,7 @@ def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: 
         if log is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="testbed-")))
         else:
-            folder = new_folder(Path(log), experiment.name)
+            folder = new_folder(path_of("testbed.fly, log", log, NEW), experiment.name)
         if current_thread() is main_thread():  # no other thread can be interrupted
             stack.enter_context(interrupt.caught())
         stack.enter_context(watched(experiment))
@@ -114,12 +115,12 @@ def open_run(folder: str | Path) -> Run:
     Raises:
         TestbedError: it is not a run's folder, or its log cannot be read.
     """
-    path = Path(folder)
+    where = "testbed.open_run"
+    path = path_of(where, folder, FLOWN)
     if not path.exists():
-        raise TestbedError(
-            where="testbed.open_run", expected="the folder of a finished run",
-            found=f"no such folder: {folder}",
-        )  # fmt: skip
+        raise TestbedError(where=where, expected=FLOWN, found=f"no such folder: {folder}")
+    if path.is_file() and not config_of(path).exists():
+        raise TestbedError(where=where, expected=FLOWN, found=f"a file outside of one: {folder}")
     log_of(path)  # refuses a folder that is not a run's
     home = path if path.is_dir() else path.parent
     return read_run(path, home, load(config_of(path)))
@@ -171,7 +172,7 @@ def fork(
     if run.metrics.rig != "twin":
         experiment, rig = replace(experiment, board="model"), resumed(original, t)
         make = lambda folder: rig  # noqa: E731
-    folder = new_folder(None if log is None else Path(log), experiment.name)
+    folder = new_folder(None if log is None else path_of("fork, log", log, NEW), experiment.name)
     flown = _fly(experiment, make, folder, progress)
     check_fork(original, folder, t, on_board=experiment.deploy.law == "vehicle")
     write_page(folder, experiment)
@@ -182,6 +183,9 @@ Run.fly_on = staticmethod(fork)
 
 
 def _logged(run: Run, verb: str) -> Path:
+    if not isinstance(run, Run):
+        hint = f"testbed.open_run({str(run)!r})" if isinstance(run, str | Path) else ""
+        raise wrong(f"{verb}, run", "a run, of testbed.open_run or testbed.fly", run, hint)
     if run.folder is None:
         raise TestbedError(
             where=verb, expected="a run with a log", found="a run in memory",

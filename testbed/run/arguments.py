@@ -1,9 +1,11 @@
 """Checks the arguments of a script's calls: a wrong one is named with what was expected."""
 
 import math
+import os
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
-from numbers import Real
+from numbers import Integral, Real
+from pathlib import Path
 from typing import Any
 
 from testbed.config import Experiment
@@ -43,6 +45,27 @@ def check_number(where: str, value: object, expected: str) -> None:
     """
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise wrong(where, expected, value)
+
+
+def check_count(where: str, value: object, expected: str) -> None:
+    """Refuse what is not a whole number from 1.
+
+    Raises:
+        TestbedError: for instance, it is 0.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 1:
+        raise wrong(where, expected, value)
+
+
+def path_of(where: str, value: object, expected: str) -> Path:
+    """The value as a path.
+
+    Raises:
+        TestbedError: it is neither a text nor a path.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise wrong(where, expected, value)
+    return Path(value)
 
 
 def list_of(where: str, value: Iterable[Any], expected: str) -> list[Any]:

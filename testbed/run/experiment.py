@@ -54,7 +54,7 @@ def load(name_or_path: str | Path, *overrides: str, seed: int | None = None) -> 
         TestbedError: the file cannot be read, or it has an error.
     """
     check_overrides("testbed.load", overrides)
-    texts = [*overrides, *([] if seed is None else [f"seed={toml(seed)}"])]
+    texts = [*overrides, *([] if seed is None else [f"seed={toml(seed, 'testbed.load, seed')}"])]
     return of(config.load(config.find(str(name_or_path)), texts))
 
 
@@ -62,17 +62,27 @@ def texts_of(where: str, changes: Mapping[str, Any] | None, more: Mapping[str, A
     """Changes as overrides of the command line; `where` is the call that got them."""
     if not isinstance(changes, Mapping | None):
         raise wrong(where, 'values by key: {"controller.k": 0.3}', changes)
-    return [f"{key}={toml(value)}" for key, value in {**(changes or {}), **more}.items()]
+    values = {**(changes or {}), **more}
+    return [f"{key}={toml(value, f'{where}, {key}')}" for key, value in values.items()]
 
 
-def toml(value: Any) -> str:
-    """A Python value as TOML writes it; numpy's numbers and arrays too."""
+def toml(value: Any, where: str = "value") -> str:
+    """A Python value as TOML writes it; numpy's numbers and arrays too.
+
+    Raises:
+        TestbedError: TOML has no such value, as None; `where` is the argument.
+    """
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, Path):
         value = str(value)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{toml(str(k))} = {toml(v)}" for k, v in value.items()) + "}"
+        pairs = (f"{toml(str(k))} = {toml(v, f'{where}.{k}')}" for k, v in value.items())
+        return "{" + ", ".join(pairs) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return tomli_w.dumps({"value": value}).removeprefix("value = ").rstrip("\n")
+        return "[" + ", ".join(toml(one, where) for one in value) + "]"
+    try:
+        return tomli_w.dumps({"value": value}).removeprefix("value = ").rstrip("\n")
+    except TypeError:
+        expected = "a number, text, true or false, list or table"
+        raise wrong(where, expected, value) from None

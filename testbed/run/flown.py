@@ -18,6 +18,7 @@ from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import alone
 from testbed.report.figures import figures
 from testbed.report.verdict import NOTHING_TO_JUDGE
+from testbed.run.arguments import path_of
 from testbed.run.experiment import texts_of
 from testbed.run.post_mortem import judged
 from testbed.run.table import Table
@@ -202,8 +203,13 @@ class Figures(Mapping[str, str]):
         return len(self._drawings)
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write each figure as KEY.svg into a folder, which is made if needed."""
-        out = Path(folder)
+        """Write each figure as KEY.svg into a folder, which is made if needed.
+
+        Raises:
+            TestbedError: `folder` is not the path of one.
+            OSError: it cannot be written.
+        """
+        out = path_of("save", folder, "the path of a folder")
         out.mkdir(parents=True, exist_ok=True)
         paths = [out / f"{key}.svg" for key in self]
         for path, drawing in zip(paths, self.values(), strict=True):

@@ -255,3 +255,12 @@ def test_a_run_without_criteria_did_not_pass(testbed, here):
     metrics = read_metrics(here / "judged")
     assert "passed" in _verdict(replace(metrics, criteria={"max_contacts": True}))
     assert _verdict(replace(metrics, criteria={})) == "[bold]no criteria to judge[/]"
+
+
+@pytest.mark.parametrize("speed", ["nan", "inf"])
+def test_a_speed_is_finite(testbed, here, speed):
+    for words in (["run", "hold"], ["film", "."], ["ros2", "."]):
+        result = testbed(*words, "--speed", speed)
+        assert result.exit_code == 2
+        assert f"{speed} is not a finite number" in result.stderr
+    assert list(here.iterdir()) == []

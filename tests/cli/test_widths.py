@@ -111,3 +111,10 @@ def test_each_verb_prints_its_table_in_this_way():
     direct = [path.name for path in folder.glob("*.py") if "out.print(grid" in path.read_text()]
     assert direct == ["screen.py"]
     assert poses.Room  # its table is live, and folds itself
+
+
+@pytest.mark.parametrize("columns", ["0", "wide", "-5"])
+def test_a_width_that_is_none_is_unknown(start, columns):
+    for words, said in ((["check", "hold"], "ok: "), (["check", "holdd"], "error: holdd")):
+        process = start(*words, COLUMNS=columns)
+        assert said in "".join(process.communicate())

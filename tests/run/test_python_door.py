@@ -240,6 +240,17 @@ def test_two_twins_of_one_seed_fly_the_same(hold):
         ),
         (lambda e, r: testbed.sweep(e, over=["seed"]), "over", "values by key", "['seed']"),
         (lambda e, r: testbed.sweep(e, seeds=2), "seeds", "a list of seeds", "2"),
+        (lambda e, r: testbed.sweep(e, jobs=0), "sweep, jobs", "1 or more", "0"),
+        (lambda e, r: testbed.fly_many([e], jobs=0), "fly_many, jobs", "1 or more", "0"),
+        (lambda e, r: testbed.sweep(e, {"seed": [None]}), "over['seed']", "a number", "None"),
+        (lambda e, r: e.with_(duration_s=None), "with_, duration_s", "a number", "None"),
+        (lambda e, r: e.with_(inject=[{"at_s": None}]), "inject.at_s", "a number", "None"),
+        (lambda e, r: testbed.replay("flown"), "replay, run", "testbed.open_run", "'flown'"),
+        (lambda e, r: testbed.replay(None), "replay, run", "testbed.open_run", "None"),
+        (lambda e, r: testbed.open_run(3), "testbed.open_run", "a finished run", "3"),
+        (lambda e, r: testbed.open_run(__file__), "open_run", "a finished run", "test_python_door"),
+        (lambda e, r: testbed.fly(e, log=3), "testbed.fly, log", "a new or empty folder", "3"),
+        (lambda e, r: r.plot("trajectory").save(3), "save", "the path of a folder", "3"),
     ],
 )  # fmt: skip
 def test_a_wrong_argument_says_where_and_what(hold, run, call, where, expected, found):
