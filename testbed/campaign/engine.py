@@ -17,12 +17,14 @@ from asyncio import CancelledError as FutureCancelled
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from testbed.core.error import TestbedError
 from testbed.core.extra import needs_extra
 from testbed.run.code import code_digest
+from testbed.run.interrupt import held_back
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -81,12 +83,15 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
         if scheduler is None:
             with ExitStack() as stack:
                 try:
-                    cluster = LocalCluster(
-                        n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-                        dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-                        memory_limit=0,
-                    )  # fmt: skip
-                    client = stack.enter_context(Client(stack.enter_context(cluster)))
+                    resource_tracker.ensure_running()  # its start lets signals through again
+                    with held_back():  # Dask cannot close workers that have not started yet
+                        cluster = LocalCluster(
+                            n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+                            dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                            memory_limit=0,
+                        )  # fmt: skip
+                        stack.enter_context(cluster)
+                    client = stack.enter_context(Client(cluster))
                 except (OSError, RuntimeError) as error:
                     raise EngineError(
                         f"--jobs {jobs}\n  expected  to start {jobs} processes with about ten open "

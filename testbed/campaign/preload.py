@@ -12,5 +12,6 @@ from typing import Any
 def dask_setup(worker: Any) -> None:
     """Called by Dask in the worker's main thread."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # of `held_back`
     os.dup2(2, 1)
     logging.disable(logging.CRITICAL)  # a failed run is reported in its result

@@ -83,6 +83,19 @@ class Interrupt:
             self._raises = False
 
 
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Context in which this thread, its new threads and its new processes get no Ctrl-C or SIGTERM.
+
+    A signal that comes meanwhile is handled at the end; new threads and processes never get it.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _is_callback(frame: FrameType | None) -> bool:
     """Whether a function that LLVM calls is running."""
     while frame is not None:

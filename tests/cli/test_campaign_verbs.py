@@ -1,6 +1,7 @@
 """`testbed campaign`, `tune`, `bench` as an operator uses them, with real flights of a second."""
 
 import json
+import os
 import shlex
 import signal
 import subprocess
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import psutil
 import pytest
 import tomli_w
 
@@ -70,6 +72,28 @@ def wait_for_lines(process: subprocess.Popen, folder: Path, count: int) -> None:
             process.wait(timeout=0.02)
             pytest.fail(f"ended too early: {process.communicate()}")
     pytest.fail("some minutes are enough")
+
+
+@pytest.mark.parametrize("later_s", [0.1, 1.0])
+def test_ctrl_c_while_the_workers_start_is_said_in_one_line(start, here, later_s):
+    process = start("campaign", "try.toml", "--jobs", "1", "--out", "a", wrapper=("setsid",))
+    while not spawned(process):
+        assert process.poll() is None, process.communicate()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=later_s)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, stderr = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert stderr.startswith("interrupted: ")
+    assert stderr.count("\n") == 1
+
+
+def spawned(process: subprocess.Popen[str]) -> bool:
+    """Whether a worker's process exists."""
+    with suppress(psutil.Error):  # one has ended meanwhile
+        below = psutil.Process(process.pid).children(recursive=True)
+        return any("spawn_main" in " ".join(one.cmdline()) for one in below)
+    return False
 
 
 @pytest.mark.slow
