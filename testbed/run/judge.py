@@ -15,6 +15,7 @@ from testbed.metrics.run_metrics import (
     smallest_separation,
     vehicle_metrics,
 )
+from testbed.metrics.touching import nearest_obstacles, nearest_vehicles
 from testbed.rig.chain import formation_context
 from testbed.rig.interface import Rig
 
@@ -37,10 +38,12 @@ def measure(
         completed: the flight reached its end.
     """
     experiment, track = rig.experiment, rig.track()
-    obstacles = experiment.obstacles
+    obstacles, touches = experiment.obstacles, rig.touches
+    radii = {name: setup.model.radius for name, setup in experiment.vehicles.items()}
     vehicles, clear = {}, True
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
-        distances = obstacle_distances(track, k, obstacles)
+        sampled = obstacle_distances(track, k, obstacles)
+        distances = nearest_obstacles(sampled, touches, name, radii[name], obstacles)
         vehicles[name] = vehicle_metrics(
             track,
             k,
@@ -51,7 +54,6 @@ def measure(
             ending.t,
         )
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
-    touches = rig.touches
     # ended by an operator, or never started: not judged
     fault = ending.fault
     is_judged = not rig.red and (completed if fault is None else fault.id != FaultId.STOPPED)
@@ -66,7 +68,7 @@ def measure(
         wall_s=wall,
         real_time_factor=ending.t / wall if wall > 0.0 else None,
         contacts=len(touches),
-        min_vehicle_distance_m=smallest_separation(track),
+        min_vehicle_distance_m=nearest_vehicles(smallest_separation(track), touches, radii),
         fault=ending.fault.words if ending.fault else None,
         fault_report=ending.fault,
         criteria=judge(experiment.criteria, vehicles, len(touches), clear)
