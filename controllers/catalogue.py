@@ -22,6 +22,7 @@ from controllers.smc import SmcParams, smc
 from controllers.sotsmc import SotsmcParams, sotsmc
 from testbed.core.law import Law
 
+UsersLaw = OnnxParams | OwnLawParams  # it is in a user's file: its calls may be slow, or hang
 Controller = (
     SotsmcParams
     | SmcParams
@@ -35,8 +36,7 @@ Controller = (
     | BoundedLeaderParams
     | BoundedLeaderVaryingParams
     | BifurcatingParams
-    | OnnxParams
-    | OwnLawParams
+    | UsersLaw
 )
 
 

@@ -14,7 +14,8 @@ float32 with one row (or a free first axis):
 A policy sees neither obstacles nor other vehicles: the safety filter does. The heading is held by
 the vehicle's own loop. `testbed/env` has the same input as its layout "goal".
 
-The session has one thread and runs its nodes in order, so equal inputs give equal bits.
+The session has one thread and runs its nodes in order, and a model with random nodes is refused, so
+equal inputs give equal bits.
 """
 
 import hashlib
@@ -26,6 +27,8 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from controllers.law_file import UnusableLawError
+from controllers.onnx_nodes import node_types
+from controllers.plain_law import LawError
 from controllers.sampled import Sampled
 from controllers.scale import Scale
 from testbed.core.extra import pip_install
@@ -33,6 +36,11 @@ from testbed.core.law import Body, Concern, Goal, Law, Neighbours, World, bounde
 from testbed.core.vehicle import Positive
 
 Array = NDArray[np.float64]
+
+RANDOM = (
+    "Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform",
+    "RandomUniformLike",
+)  # fmt: skip
 
 
 class OnnxParams(Struct, frozen=True, forbid_unknown_fields=True, tag="onnx"):
@@ -73,9 +81,10 @@ class OnnxPolicy:
             expected = f"{params.sha256} (remove the key to accept any content)"
             raise UnusableLawError("sha256", expected, f"{digest}: {name} is another file")
         self._session = _session(content, name)
+        _check_nodes(content, name)
         self._input = _only(self._session.get_inputs(), "input", 4 * d, name)
         self._output = _only(self._session.get_outputs(), "output", d, name)
-        self._d = d
+        self._d, self._name = d, name
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
@@ -85,10 +94,23 @@ class OnnxPolicy:
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, duration: float
     ) -> tuple[Array, Array]:
         """See `Decider`."""
-        seen = observation(own, world.goal)[None]
-        (said,) = self._session.run([self._output], {self._input: seen})
-        share = np.asarray(said, dtype=np.float64).reshape(self._d)
+        share = self.share(observation(own, world.goal))
         return bounded(own.max_force * share, own.max_force), law_state
+
+    def share(self, seen: NDArray[np.float32]) -> Array:
+        """The model's output (d,) for an input (4 d,).
+
+        Raises:
+            LawError: the model fails, or its output has another shape.
+        """
+        try:
+            (said,) = self._session.run([self._output], {self._input: seen[None]})
+        except Exception as error:  # see `_session`
+            raise LawError(f"{self._name}: {str(error).splitlines()[0]}") from None
+        if said.shape != (1, self._d):
+            shapes = f"expected an output of shape [1, {self._d}], found {list(said.shape)}"
+            raise LawError(f"{self._name}: {shapes}")
+        return said[0].astype(np.float64)
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """See `Decider`."""
@@ -113,6 +135,16 @@ def _session(content: bytes, name: str) -> Any:
         raise UnusableLawError("file", "an ONNX model", found) from None
 
 
+def _check_nodes(content: bytes, name: str) -> None:
+    try:
+        found = sorted(node_types(content) & {*RANDOM})
+    except ValueError as error:  # onnxruntime reads another format, too
+        raise UnusableLawError("file", "an ONNX model", f"{name}: {error}") from None
+    if found:
+        expected = "a model without random nodes: export the mean action, which a flight repeats"
+        raise UnusableLawError("file", expected, f"{name}: {', '.join(found)}")
+
+
 def _only(ports: list[Any], which: str, size: int, name: str) -> str:
     """The name of the model's only input or output, which has the right type and shape."""
     shapes = [f"{one.name}: {one.type} {one.shape}" for one in ports]
@@ -122,6 +154,22 @@ def _only(ports: list[Any], which: str, size: int, name: str) -> str:
             return str(ports[0].name)
     expected = f"one {which} of type tensor(float) and shape [1, {size}]"
     raise UnusableLawError("file", expected, f"{name}: {'; '.join(shapes) or 'none'}")
+
+
+def try_policy(params: OnnxParams, d: int = 2) -> None:
+    """Call a policy twice, so that errors show before a flight and not in it.
+
+    Raises:
+        UnusableLawError: the file is no policy of this layout.
+        LawError: the policy fails.
+    """
+    policy, seen = OnnxPolicy(params, d), np.linspace(-1.0, 1.0, 4 * d, dtype=np.float32)
+    first, again = policy.share(seen), policy.share(seen)
+    name = Path(params.file).name
+    if not np.isfinite(first).all():
+        raise LawError(f"{name}: output is not finite, {first}, in a trial call before the flight")
+    if first.tobytes() != again.tobytes():
+        raise LawError(f"{name}: output is {first} and then {again} for the same input")
 
 
 def onnx_policy(params: OnnxParams, d: int) -> Law:

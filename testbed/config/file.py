@@ -8,8 +8,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from controllers.catalogue import make_law
-from controllers.own_law import OwnLawParams
+from controllers.catalogue import UsersLaw, make_law
 from testbed.config.board import bad_board
 from testbed.config.error import ConfigError, Violation, did_you_mean, refused
 from testbed.config.experiment import Experiment
@@ -140,7 +139,7 @@ def violations(experiment: Experiment) -> Iterator[Violation]:
     yield from bad_network(experiment)
     yield from bad_plugins(experiment)
     yield from bad_forks(experiment, violations)
-    if isinstance(experiment.controller, OwnLawParams):
+    if isinstance(experiment.controller, UsersLaw):
         return  # checked by bad_own_law
     try:
         make_law(experiment.controller, list(experiment.vehicles))

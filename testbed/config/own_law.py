@@ -1,4 +1,4 @@
-"""Validates a user's own law, and records the content of its file."""
+"""Validates a user's law, and records the content of its file."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from controllers.law_file import UnusableLawError, content_of, digest, file_of, maker
-from controllers.onnx_policy import OnnxParams
+from controllers.onnx_policy import OnnxParams, try_policy
 from controllers.own_law import OwnLawParams, own_law, parameter_type, try_out
 from controllers.plain_law import LawError
 from testbed.config.error import Violation, refused
@@ -35,14 +35,17 @@ def place_law(tree: Any, folder: Path) -> None:
 
 
 def bad_own_law(experiment: Experiment) -> Iterator[Violation]:
-    """Errors in a user's own law."""
+    """Errors in a user's law."""
     params = experiment.controller
-    if not isinstance(params, OwnLawParams):
-        return
     try:
-        with reading(params.law):
-            found = _tried(params, list(experiment.vehicles))
-        yield from found
+        if isinstance(params, OwnLawParams):
+            with reading(params.law):
+                found = _tried(params, list(experiment.vehicles))
+            yield from found
+        elif isinstance(params, OnnxParams):
+            with reading(Path(params.file).name, "file"):
+                found = _tried_policy(params)
+            yield from found
     except UnusableLawError as error:
         yield refused(("controller", error.key), error)
 
@@ -59,6 +62,15 @@ def _tried(params: OwnLawParams, names: list[str]) -> list[Violation]:
         try_out(own_law(params, names, 2), len(names))
     except LawError as error:
         return [Violation(("controller", "law"), "a law that says what to do", str(error))]
+    return []
+
+
+def _tried_policy(params: OnnxParams) -> list[Violation]:
+    """Read the policy and call it."""
+    try:
+        try_policy(params)
+    except LawError as error:
+        return [Violation(("controller", "file"), "a policy that says what to do", str(error))]
     return []
 
 

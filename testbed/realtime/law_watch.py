@@ -1,4 +1,4 @@
-"""Time and memory limits for calls of a user's own law.
+"""Time and memory limits for calls of a user's law: in Python, or a policy in an ONNX file.
 
 An alarm interrupts a call that exceeds its limit and raises an error inside the law, so that the
 run ends in order, as after any other error of a law: see `law_alarm.py`. If the law ignores the
@@ -24,8 +24,9 @@ from typing import Any
 
 import numba.core.compiler_lock as compiling
 
+from controllers.catalogue import UsersLaw
 from controllers.law_file import LawStoppedError, UnusableLawError, file_of
-from controllers.own_law import OwnLawParams
+from controllers.onnx_policy import OnnxParams
 from controllers.plain_law import LawError
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
@@ -58,7 +59,7 @@ class LawWatch:
     """A context manager that watches the calls of all laws in one thread.
 
     Args:
-        law: its name in the experiment, "my_law.py:Mine".
+        law: its name in the experiment, "my_law.py:Mine", or of a policy's file.
         limit_s: for one call [s].
         memory_mb: limit of memory that all calls together add to the process [MB].
         budget_s: time that a call has on the bench and on the table [s].
@@ -248,8 +249,8 @@ def current() -> LawWatch | None:
 
 
 @contextmanager
-def reading(law: str) -> Iterator[None]:
-    """While open, a law's file is read and called once.
+def reading(law: str, key: str = "law") -> Iterator[None]:
+    """While open, a law's file, which this key of [controller] names, is read and called.
 
     Raises:
         UnusableLawError: it hangs, or does what a law must not.
@@ -264,7 +265,7 @@ def reading(law: str) -> Iterator[None]:
             yield
     except LawError as error:
         expected = "a law that can be read and called once within half a minute"
-        raise UnusableLawError("law", expected, str(error)) from None
+        raise UnusableLawError(key, expected, str(error)) from None
     finally:
         heart.phase = before
 
@@ -354,7 +355,8 @@ def timed(make: Callable[[], Law], vehicle: str) -> Law:
 def watching(
     controller: Any, limit_s: float, memory_mb: float, budget_s: float
 ) -> AbstractContextManager[Any]:
-    """The watch of a run; does nothing if its law is not a user's file."""
-    if not isinstance(controller, OwnLawParams):
+    """The watch of a run; does nothing if its law is not in a user's file."""
+    if not isinstance(controller, UsersLaw):
         return nullcontext()
-    return LawWatch(controller.law, limit_s, memory_mb, budget_s)
+    law = Path(controller.file).name if isinstance(controller, OnnxParams) else controller.law
+    return LawWatch(law, limit_s, memory_mb, budget_s)

@@ -6,8 +6,7 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 
-from controllers.catalogue import make_law
-from controllers.own_law import OwnLawParams
+from controllers.catalogue import UsersLaw, make_law
 from testbed.config import Experiment
 from testbed.core.landing import brakes_shorter
 from testbed.core.types import Pose
@@ -36,7 +35,7 @@ def watched(experiment: Experiment, *, slow: bool = True) -> AbstractContextMana
     # the host calls the law for one vehicle after the other
     calls = len(experiment.vehicles) if deploy.law == "host" else 1
     flown = [experiment.controller, *(one.controller for _, one in experiment.stages())]
-    controller = next((one for one in flown if isinstance(one, OwnLawParams)), flown[0])
+    controller = next((one for one in flown if isinstance(one, UsersLaw)), flown[0])
     budget = period / calls if slow else math.inf
     return watching(controller, limit, deploy.law_memory_mb, budget)
 

@@ -11,7 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from controllers.own_law import OwnLawParams
+from controllers.catalogue import UsersLaw
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
@@ -190,7 +190,7 @@ def names_of(experiment: Experiment) -> Names:
 def span_of(experiment: Experiment) -> int:
     """Time of the run per chunk of the log, faster than real time [ns]."""
     flown = [experiment, *(after for _, after in experiment.stages())]
-    own = any(isinstance(one.controller, OwnLawParams) for one in flown)
+    own = any(isinstance(one.controller, UsersLaw) for one in flown)
     return CAREFUL_SPAN_NS if own else FAST_SPAN_NS
 
 

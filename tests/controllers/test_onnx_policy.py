@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 import testbed
+from controllers import onnx_policy
 from controllers.catalogue import make_law
 from controllers.law_file import UnusableLawError
-from controllers.onnx_policy import OnnxParams, observation
+from controllers.onnx_nodes import node_types
+from controllers.onnx_policy import RANDOM, OnnxParams, observation
 from controllers.pd import PdParams
+from controllers.plain_law import LawError
 from testbed.config import ConfigError
 from testbed.core.law import Body, Discs, Goal, World, silent
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 ROOT = Path(__file__).parents[2]
 POLICY = ROOT / "examples/learning/policy.onnx"
@@ -31,10 +35,10 @@ else:
 
 @pytest.fixture
 def write_policy(tmp_path):
-    """Write a model: its input times the weights, or the sum of its inputs."""
+    """Write a model: its input times the weights, or the sum of its inputs; or the nodes given."""
     make, kind = onnx.helper, onnx.TensorProto.FLOAT
 
-    def write(inputs, outputs, weights=None):
+    def write(inputs, outputs, weights=None, nodes=()):
         ins = [make.make_tensor_value_info(f"in{k}", kind, one) for k, one in enumerate(inputs)]
         outs = [make.make_tensor_value_info("out", kind, one) for one in outputs]
         names = [one.name for one in ins]
@@ -43,7 +47,7 @@ def write_policy(tmp_path):
         else:
             node = make.make_node("MatMul", [*names, "w"], ["out"])
             known = [onnx.numpy_helper.from_array(weights, "w")]
-        graph = make.make_graph([node], "policy", ins, outs, known)
+        graph = make.make_graph(nodes or [node], "policy", ins, outs, known)
         model = make.make_model(graph, ir_version=8, opset_imports=[make.make_opsetid("", 17)])
         (tmp_path / "policy.onnx").write_bytes(model.SerializeToString())
         return str(tmp_path / "policy.onnx")
@@ -128,6 +132,126 @@ def test_a_wrong_file_is_refused(tmp_path):
 def test_a_policy_of_another_layout_is_refused(inputs, outputs, expected, write_policy):
     with pytest.raises(UnusableLawError, match=expected):
         make_law(OnnxParams(write_policy(inputs, outputs)))
+
+
+ONE_ROW = [[1, 8]], [[1, 2]], np.ones((8, 2), np.float32)
+ANY_ROWS = [["n", 8]], [["m", 2]], np.ones((8, 2), np.float32)
+
+
+def nodes(*types, **attributes):
+    """A chain of nodes after the product of input and weights; the last one makes the output."""
+    make = onnx.helper.make_node
+    names = ["product", *(f"after{k}" for k in range(len(types) - 1)), "out"]
+    chain = [make(t, [names[k]], [names[k + 1]], **attributes) for k, t in enumerate(types)]
+    return [make("MatMul", ["in0", "w"], ["product"]), *chain]
+
+
+def in_a_branch(kind):
+    """A node of this type in a subgraph."""
+    make, tensor = onnx.helper, onnx.TensorProto
+    out = make.make_tensor_value_info("chosen", tensor.FLOAT, None)
+    noise = make.make_node(kind, [], ["chosen"], shape=[1, 2])
+    still = make.make_node("Constant", [], ["chosen"], value_floats=[0.0, 0.0])
+    yes, no = (make.make_graph([one], "branch", [], [out]) for one in (noise, still))
+    true = make.make_tensor("true", tensor.BOOL, [], [True])
+    return [
+        make.make_node("Constant", [], ["choice"], value=true),
+        make.make_node("If", ["choice"], ["out"], then_branch=yes, else_branch=no),
+    ]
+
+
+def refusal(policy):
+    with pytest.raises(ConfigError) as error:
+        testbed.load(STEP, f'controller={{type="onnx", file="{policy}"}}')
+    return str(error.value)
+
+
+def test_all_nodes_are_found(write_policy):
+    assert node_types(POLICY.read_bytes()) == {one.op_type for one in onnx.load(POLICY).graph.node}
+    found = node_types(Path(write_policy(*ONE_ROW, in_a_branch("RandomNormal"))).read_bytes())
+    assert found == {"Constant", "If", "RandomNormal"}
+
+
+def test_a_policy_with_random_nodes_is_refused(write_policy):
+    random = write_policy(*ONE_ROW, nodes("Tanh", "RandomNormalLike"))
+    assert "policy.onnx: RandomNormalLike" in refusal(random)
+    assert "export the mean action" in refusal(random)
+    assert "policy.onnx: RandomUniform" in refusal(
+        write_policy(*ONE_ROW, in_a_branch("RandomUniform"))
+    )
+
+
+def test_every_random_node_of_onnx_is_known():
+    every = {one.name for one in onnx.defs.get_all_schemas() if not one.domain}
+    assert {name for name in every if name.startswith("Random")} < set(RANDOM) <= every
+
+
+def test_a_policy_that_says_no_numbers_is_refused_before_a_flight(write_policy):
+    assert "output is not finite, [nan nan]" in refusal(
+        write_policy(*ONE_ROW, nodes("Abs", "Neg", "Log"))
+    )
+
+
+def test_a_policy_with_two_rows_is_refused_before_a_flight(write_policy):
+    make = onnx.helper.make_node
+    twice = [*nodes("Neg")[:1], make("Concat", ["product", "product"], ["out"], axis=0)]
+    policy = write_policy(*ANY_ROWS, twice)
+    assert "expected an output of shape [1, 2], found [2, 2]" in refusal(policy)
+    with pytest.raises(LawError, match="found \\[2, 2\\]"):
+        force(make_law(OnnxParams(policy)), [0.2, 0.1], ZERO)
+
+
+class Session:
+    """The session of a policy, with other calls."""
+
+    def __init__(self, session, run):
+        self.get_inputs, self.get_outputs, self._session = (
+            session.get_inputs, session.get_outputs, session,
+        )  # fmt: skip
+        self._run = run
+
+    def run(self, *arguments):
+        return self._run(self._session, *arguments)
+
+
+@pytest.fixture
+def patch_calls(monkeypatch):
+    make = onnx_policy._session
+
+    def patch(run):
+        monkeypatch.setattr(onnx_policy, "_session", lambda *a: Session(make(*a), run))
+
+    return patch
+
+
+def test_a_policy_that_varies_is_refused_before_a_flight(patch_calls):
+    noise = np.random.default_rng(0)
+    patch_calls(lambda *_: [noise.normal(size=(1, 2)).astype(np.float32)])
+    assert "for the same input" in refusal(POLICY)
+
+
+def test_a_slow_policy_is_watched(patch_calls):
+    def slow(session, *arguments):
+        sleep_until_ns(monotonic_ns() + 250_000_000)  # 0.1 s are allowed
+        return session.run(*arguments)
+
+    experiment = testbed.load(
+        STEP, f'controller={{type="onnx", file="{POLICY}"}}', "duration_s=1.2", "criteria={}"
+    )
+    patch_calls(slow)
+    run = testbed.fly(experiment)
+    assert "law policy.onnx takes 0.25 s per call, 2.5 times the 0.1 s" in run.fault
+    assert "slow_law" in {one.name for one in run.metrics.warnings}
+
+
+def test_a_policy_that_fails_in_flight_is_named(patch_calls):
+    experiment = testbed.load(STEP, f'controller={{type="onnx", file="{POLICY}"}}')
+
+    def fail(*_):
+        raise RuntimeError("no such kernel\nand more")
+
+    patch_calls(fail)
+    assert "policy.onnx: no such kernel" in testbed.fly(experiment).fault
 
 
 def test_a_missing_library_is_named(monkeypatch):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numba.core import config
 
-from controllers.own_law import OwnLawParams
+from controllers.catalogue import UsersLaw
 from sim_twin.plant import advance
 from sim_twin.twin import Twin, exposures, observe
 from testbed.config import Experiment
@@ -172,12 +172,12 @@ def make_fleet(
     """The fleet of a flight; None: it must be flown tick by tick.
 
     That is so with injected faults, forks, laws on board, a radio of limited range and reference
-    bodies, and with a user's own law, which may hang: a stop must not wait for 50 of its ticks.
+    bodies, and with a user's law, which may hang: a stop must not wait for 50 of its ticks.
     """
     nodes = [one for one in vehicles if isinstance(one, TwinNode)]
     laws = [one for one in hosts if isinstance(one, TwinHost)]
     every = len(nodes) == len(laws) == len(experiment.vehicles)
-    own, fixed = isinstance(experiment.controller, OwnLawParams), experiment.table.lab.mocap
+    own, fixed = isinstance(experiment.controller, UsersLaw), experiment.table.lab.mocap
     if not every or own or experiment.forks or twin.reach is not None or fixed.reference:
         return None
     if vars(config)["DISABLE_JIT"]:
