@@ -6,19 +6,26 @@
 `wrench`  (3,) in [-1, 1]: force in the body frame as above, and torque as a share of the jets'.
           Tracker and bias compensation are the chain's; safety filter, allocation and valves, too.
 `valves`  (jets,) in [0, 1]: duty of each jet, one centred pulse. Only the gate stands in between.
+
+Numbers beyond their bounds are taken as the bound. One that is not finite opens no valve and is the
+fault `not_a_number`, which ends the episode.
 """
 
 import math
-from typing import Any, Literal
+import reprlib
+from typing import Literal
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
+from testbed.core.error import TestbedError
 from testbed.core.types import Demand, State
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
 
 Kind = Literal["force", "wrench", "valves"]
+Action = NDArray[np.float64]
 LIFE = 2.0  # a demand is good for so many periods
 
 
@@ -29,6 +36,25 @@ def space_of(kind: Kind, vehicle: Vehicle) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (2 if kind == "force" else 3,), np.float32)
 
 
+def checked(kind: Kind, action: object, vehicle: Vehicle, name: str) -> Action:
+    """A vehicle's action as an array.
+
+    Raises:
+        TestbedError: it has another shape, or is not numbers.
+    """
+    shape = space_of(kind, vehicle).shape
+    try:
+        numbers = np.asarray(action, dtype=float)
+        found = f"shape {numbers.shape}"
+    except (TypeError, ValueError):
+        numbers, found = np.empty(0), reprlib.repr(action)
+    if numbers.shape != shape:
+        raise TestbedError(
+            where=f"action `{kind}` of {name}", expected=f"numbers of shape {shape}", found=found
+        )
+    return numbers
+
+
 def largest(vehicle: Vehicle, force_share: float) -> tuple[float, float]:
     """Force [N] and torque [N m] of a full action."""
     arms = [j.position[0] * j.push[1] - j.position[1] * j.push[0] for j in vehicle.jets]
@@ -37,13 +63,13 @@ def largest(vehicle: Vehicle, force_share: float) -> tuple[float, float]:
 
 
 def demand_of(
-    kind: Kind, action: Any, state: State | None, turn: tuple[float, float, float],
+    kind: Kind, action: Action | None, state: State | None, turn: tuple[float, float, float],
     most: tuple[float, float], vehicle: Vehicle, t: float, period: float, spin: float,
 ) -> tuple[Demand, float]:  # fmt: skip
     """The demand for the period from `t` on, and its angular acceleration.
 
     Args:
-        kind: "force" or "wrench"; of "valves" a demand without force, which keeps the gate open.
+        kind: of "valves" a demand without force, which keeps the gate open.
         action: see above; None: nothing.
         state: newest estimate.
         turn: heading to hold, its rate and acceleration.
@@ -54,9 +80,11 @@ def demand_of(
         spin: angular acceleration of the demand before [rad/s^2].
     """
     x, y, torque = 0.0, 0.0, 0.0
-    if action is not None and kind != "valves":
-        x, y, *rest = np.asarray(action, dtype=float).tolist()
-        torque = rest[0] if rest else 0.0
+    if action is not None and not np.isfinite(action).all():
+        x = y = math.nan  # the chain finds it
+    elif action is not None and kind != "valves":
+        x, y, *rest = action.tolist()
+        torque = min(1.0, max(-1.0, rest[0])) if rest else 0.0
     size = math.hypot(x, y)
     if size > 1.0:
         x, y = x / size, y / size
@@ -71,10 +99,11 @@ def demand_of(
 
 
 def pulses_of(
-    action: Any, vehicle: Vehicle, period: float
+    action: Action, vehicle: Vehicle, period: float
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Open times and offsets of centred pulses [us]; too short ones are left out."""
     whole, shortest = round(1e6 * period), math.ceil(1e6 * vehicle.valve.min_on_s)
-    on = [round(whole * one) for one in np.clip(action, 0.0, 1.0).astype(float).tolist()]
+    duty = np.clip(action, 0.0, 1.0) if np.isfinite(action).all() else np.zeros(len(action))
+    on = [round(whole * one) for one in duty.tolist()]
     on = [one if one >= shortest else 0 for one in on]
     return tuple(on), tuple((whole - one) // 2 for one in on)

@@ -11,6 +11,7 @@ from testbed.env import action as actions
 from testbed.env import observation as observations
 from testbed.env.table import space_of
 from testbed.env.world import World
+from testbed.run.arguments import check_experiment
 
 Each = dict[str, Any]
 
@@ -28,6 +29,7 @@ class FleetEnv(ParallelEnv[str, Any, Any]):
         observation: observations.Layout = "pose", *,
         randomise: bool = True, anywhere: bool = False,
     ) -> None:  # fmt: skip
+        check_experiment("FleetEnv", experiment)
         self._world = World(experiment, action, observation, randomise=randomise, anywhere=anywhere)
         self.possible_agents = list(experiment.vehicles)
         self.agents: list[str] = []

@@ -47,7 +47,7 @@ def seen(layout: Layout, vehicle: Vehicle, state: State, goal: Goal, heading: fl
         layout: see above.
         vehicle: its file, which is not quite the true vehicle.
         state: its estimate.
-        goal: now.
+        goal: at the time of the estimate.
         heading: of the goal [rad].
     """
     pose, twist, bias = state.pose, state.twist, state.bias

@@ -11,6 +11,7 @@ from testbed.core.error import TestbedError
 from testbed.env import action as actions
 from testbed.env import observation as observations
 from testbed.env.world import World
+from testbed.run.arguments import check_experiment
 
 
 class TableEnv(gymnasium.Env[Any, Any]):
@@ -23,6 +24,7 @@ class TableEnv(gymnasium.Env[Any, Any]):
         observation: observations.Layout = "goal", *,
         randomise: bool = True, anywhere: bool = False,
     ) -> None:  # fmt: skip
+        check_experiment("TableEnv", experiment)
         if len(experiment.vehicles) != 1:
             raise TestbedError(
                 where="TableEnv", expected="an experiment with one vehicle; FleetEnv has several",

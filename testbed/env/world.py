@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from msgspec.structs import replace
@@ -13,11 +13,13 @@ from testbed.core.error import TestbedError
 from testbed.core.law import Goal
 from testbed.core.path import heading_at
 from testbed.core.se2 import wrap
+from testbed.core.spelling import did_you_mean
 from testbed.core.types import State, Tick
-from testbed.env.action import Kind, demand_of, largest, pulses_of
+from testbed.env.action import Action, Kind, checked, demand_of, largest, pulses_of
 from testbed.env.observation import Layout, seen
 from testbed.flight.turn import Turn, TurnAlong, turn_to
 from testbed.rig.chain import fence_of
+from testbed.run.arguments import wrong
 from testbed.run.stepper import Twin
 
 Array = NDArray[np.float64]
@@ -37,12 +39,17 @@ class World:
         layout: see observation.py.
         randomise: draw the true vehicles from their tolerances; else they are as in their files.
         anywhere: draw starts and goals anywhere on the table; else they are the experiment's.
+
+    Raises:
+        TestbedError: no such action or observation.
     """
 
     def __init__(
         self, experiment: Experiment, action: Kind, layout: Layout, *,
         randomise: bool = True, anywhere: bool = False,
     ) -> None:  # fmt: skip
+        _check_choice("action", action, get_args(Kind))
+        _check_choice("observation", layout, get_args(Layout))
         self.experiment = experiment if randomise else _exact(experiment)
         self._action, self._layout, self._anywhere = action, layout, anywhere
         share = experiment.guidance.force_share
@@ -69,11 +76,22 @@ class World:
         )  # fmt: skip
 
     def step(self, actions: Mapping[str, Any]) -> None:
-        """Fly one jet period."""
-        self._fly(actions)
+        """Fly one jet period; for the actions see action.py.
+
+        Raises:
+            TestbedError: there was no reset, or not each vehicle has an action of the right shape.
+        """
+        if not hasattr(self, "setups"):
+            raise TestbedError(where="step", expected="a `reset` before it", found="none")
+        if not isinstance(actions, Mapping) or actions.keys() != self.setups.keys():
+            raise wrong("step", f"an action for each of {', '.join(self.setups)}", actions)
+        self._fly({
+            name: checked(self._action, actions[name], setup.model, name)
+            for name, setup in self.setups.items()
+        })  # fmt: skip
         self.ticks += 1
 
-    def _fly(self, actions: Mapping[str, Any]) -> None:
+    def _fly(self, actions: Mapping[str, Action]) -> None:
         twin, period, demands = self._twin, self._twin.period, {}
         for name, setup in self.setups.items():
             t, state = twin.effect_at(name), self.state(name)
@@ -93,7 +111,7 @@ class World:
         """Heading, turn rate and its acceleration of a smooth turn to the goal's heading."""
         if name not in self._turns:
             if state is None:
-                return self._heading(name), 0.0, 0.0
+                return self._heading(name, self._twin.t), 0.0, 0.0
             setup, accel = self.setups[name], self.experiment.guidance.heading_accel
             self._turns[name] = turn_to(setup.goal[2], setup.path, state.pose.theta, t, accel)
         return self._turns[name].at(t)
@@ -102,30 +120,32 @@ class World:
         """A vehicle's newest estimate."""
         return self._last[name].outputs.state if self._last else None
 
-    def _goal(self, name: str) -> Goal:
+    def _goal(self, name: str, t: float) -> Goal:
         setup, zero = self.setups[name], np.zeros(2)
         place = np.array(setup.goal[:2])
         if setup.path is None:
             return Goal(place, zero, zero, zero)
-        p, v, a, jerk = (np.array(one) for one in setup.path.at(self._twin.t))
+        p, v, a, jerk = (np.array(one) for one in setup.path.at(t))
         return Goal(place + p, v, a, jerk)
 
-    def _heading(self, name: str) -> float:
+    def _heading(self, name: str, t: float) -> float:
         setup = self.setups[name]
-        return heading_at(setup.path, setup.goal[2], self._twin.t)
+        return heading_at(setup.path, setup.goal[2], t)
 
     def seen(self, name: str) -> Any:
-        """A vehicle's observation."""
+        """A vehicle's observation: all of it for the time of its estimate."""
         state, setup = self.state(name), self.setups[name]
         assert state is not None, "reset waits for the first pose"
-        found = seen(self._layout, setup.model, state, self._goal(name), self._heading(name))
+        goal, heading = self._goal(name, state.t), self._heading(name, state.t)
+        found = seen(self._layout, setup.model, state, goal, heading)
         if self._layout != "pose":
             return found
-        return np.concatenate([found, *(self._disc(state, one) for one in self._discs(name))])
+        return np.concatenate(
+            [found, *(self._disc(state, one) for one in self._discs(name, state.t))]
+        )
 
-    def _discs(self, name: str) -> list[tuple[float, ...]]:
-        """Place, velocity and distance to keep of each obstacle and other vehicle."""
-        t = self._twin.t
+    def _discs(self, name: str, t: float) -> list[tuple[float, ...]]:
+        """Place, velocity and distance to keep of each obstacle and other vehicle at a time."""
         discs: list[tuple[float, ...]] = []
         for one in self.experiment.obstacles.values():
             (x, y), (vx, vy) = one.position, one.velocity
@@ -146,8 +166,8 @@ class World:
     def off(self, name: str) -> tuple[float, float]:
         """True distance to the goal [m], and heading error [rad]."""
         x, y, theta, *_ = self._twin.true_state(name)
-        goal = self._goal(name).p
-        return math.hypot(goal[0] - x, goal[1] - y), abs(wrap(self._heading(name) - theta))
+        goal, heading = self._goal(name, self._twin.t).p, self._heading(name, self._twin.t)
+        return math.hypot(goal[0] - x, goal[1] - y), abs(wrap(heading - theta))
 
     def reward(self, name: str) -> float:
         """Of the last period."""
@@ -181,6 +201,15 @@ class World:
     def late(self) -> bool:
         """The experiment's duration is over."""
         return self.ticks >= self.experiment.ticks
+
+
+def _check_choice(what: str, value: object, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        hint = did_you_mean(value, choices) if isinstance(value, str) else ""
+        raise TestbedError(
+            where=f"testbed.env, {what}", expected=f"one of {', '.join(choices)}",
+            found=f"{value!r}{hint}",
+        )  # fmt: skip
 
 
 def _exact(experiment: Experiment) -> Experiment:

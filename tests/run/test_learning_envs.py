@@ -175,6 +175,94 @@ def test_several_vehicles_need_the_other_environment():
         TableEnv(testbed.load("zhang2023_table"))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"action": "thrust"}, "one of force, wrench, valves"),
+        ({"observation": "goals"}, r"one of goal, pose, rans\n.*did you mean `goal`"),
+    ],
+)
+def test_a_misspelt_choice_is_refused(arguments, said):
+    with pytest.raises(testbed.TestbedError, match=said):
+        TableEnv(step(), **arguments)
+
+
+def test_an_experiment_is_loaded_first():
+    for kind in (TableEnv, FleetEnv):
+        with pytest.raises(testbed.TestbedError, match=r"testbed.load\('step'\)"):
+            kind("step")
+
+
+def test_a_step_needs_a_reset():
+    with pytest.raises(testbed.TestbedError, match="`reset`"):
+        TableEnv(step()).step(np.zeros(2))
+    fleet = FleetEnv(testbed.load("zhang2023_table"))
+    with pytest.raises(testbed.TestbedError, match="`reset`"):
+        fleet.step({})
+
+
+@pytest.mark.parametrize(("action", "size"), [("force", 2), ("wrench", 3), ("valves", 8)])
+def test_an_action_of_another_shape_is_refused(action, size):
+    env = TableEnv(step(), action)
+    env.reset(seed=0)
+    for wrong in (None, 0.3, "full", np.zeros(size - 1), np.zeros(size + 1), np.zeros((1, size))):
+        with pytest.raises(testbed.TestbedError, match=rf"shape \({size},\)"):
+            env.step(wrong)
+    env.step([0] * size)
+
+
+def test_each_vehicle_needs_an_action():
+    fleet = FleetEnv(testbed.load("zhang2023_table"))
+    fleet.reset(seed=0)
+    for names in (["sat1", "sat2"], ["sat1", "sat2", "sat3", "sat4"]):
+        with pytest.raises(testbed.TestbedError, match="each of sat1, sat2, sat3"):
+            fleet.step({name: np.zeros(2) for name in names})
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(("action", "size"), [("force", 2), ("wrench", 3), ("valves", 8)])
+def test_an_action_that_is_not_finite_is_a_fault(action, size, number):
+    env = TableEnv(step(), action)
+    _, rewards, told = flown(env, [0.0] * (size - 1) + [number], 5)
+    assert (told["ended"], rewards) == ("fault", [-10.0])
+    assert told["fault"].startswith("not_a_number")
+    again, _ = env.reset(seed=1)
+    assert all(np.isfinite(again))
+    assert env.step(np.zeros(size))[2] is False
+
+
+@pytest.mark.parametrize(("action", "full"), [("wrench", [0, 0, 1]), ("force", [1, 0])])
+def test_an_action_beyond_its_bounds_is_the_bound(action, full):
+    env = TableEnv(step(), action, "pose")
+    one, more = (flown(env, np.multiply(size, full), 3)[0] for size in (1.0, 50.0))
+    assert np.array_equal(one, more)
+
+
+def test_an_observation_is_of_one_time():
+    experiment = testbed.load(ROOT / "configs/scenarios/circle.toml")
+    setup, period = experiment.vehicles["sat1"], experiment.flight.jet_period_s
+    env = TableEnv(experiment, randomise=False)
+    _, before = env.reset(seed=0)
+    for _ in range(30):
+        seen, *_, told = env.step(np.zeros(2))
+        goal = np.array(setup.goal[:2]) + setup.path.at(told["t"] - period).p
+        np.testing.assert_allclose(seen[:2], goal - before["true_state"][:2], atol=1e-3)
+        before = told
+
+
+def test_a_moving_obstacle_is_seen_at_the_same_time():
+    experiment = testbed.load(
+        STEP, "obstacles.o={position=[-1.0, 1.5], velocity=[0.1, 0.0], radius=0.2}"
+    )
+    env = TableEnv(experiment, "force", "pose", randomise=False)
+    _, before = env.reset(seed=0)
+    for _ in range(5):
+        seen, *_, told = env.step(np.zeros(2))
+        place = np.array([-1.0 + 0.1 * (told["t"] - 0.1), 1.5])
+        np.testing.assert_allclose(seen[11:13], place - before["true_state"][:2], atol=1e-3)
+        before = told
+
+
 def test_the_import_needs_no_library():
     code = (
         "import sys; sys.modules['gymnasium'] = None\n"
