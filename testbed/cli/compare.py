@@ -25,8 +25,8 @@ from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
 from testbed.cli.screen import show
 from testbed.config import ConfigError, Experiment, load
-from testbed.logs.history import History, gather
-from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
+from testbed.logs.history import History
+from testbed.logs.log_reader import LogError, config_of, log_of
 from testbed.metrics.formation import has_formation
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import TIME
@@ -45,7 +45,7 @@ from testbed.report.page import (
 )
 from testbed.report.scrubber import LONGEST, bar, flight_data, vehicle_data
 from testbed.report.verdict import NOTHING_TO_JUDGE, UNCOUNTED
-from testbed.run.post_mortem import judged
+from testbed.run.recorded import recorded
 
 TOGETHER = {  # key of a row, of the formation's metrics
     "formation_error_m": "error_m", "formation_settled_s": "settled_s",
@@ -102,10 +102,8 @@ def compare_runs(
 def read_run(folder: Path, label: str) -> ComparedRun:
     """Read metrics and log of a run folder."""
     log, experiment = log_of(folder), load(config_of(folder))
-    book = LogReader(log)
-    history = gather(book)
-    warn(book.said())
-    return ComparedRun(label, experiment, history, judged(log.parent, log, experiment, history))
+    history, metrics, _ = recorded(log, experiment, warn)
+    return ComparedRun(label, experiment, history, metrics)
 
 
 def rows_for(runs: Sequence[ComparedRun]) -> Sequence[tuple[str, str, float, int, str]]:

@@ -13,6 +13,7 @@ from testbed.cli.screen import show
 from testbed.logs.export import WRITERS, ExportError, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
+from testbed.run.whole import lacks, metrics_of
 
 
 def show_log(run: Path, as_json: bool) -> int:
@@ -22,8 +23,9 @@ def show_log(run: Path, as_json: bool) -> int:
         topics = survey(book.read(), book.kinds)
     except LogError as error:
         return refuse(error)
-    warn(book.said())
-    contents = Contents(book.finished, topics, book.said())
+    said = lacks(book)
+    warn(said)
+    contents = Contents(book.finished, topics, said)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(contents)).decode() + "\n")
         return OK
@@ -42,7 +44,10 @@ def show_log(run: Path, as_json: bool) -> int:
         )  # fmt: skip
     show(out, grid)
     if not book.finished:
-        out.print("the log is incomplete: its writer was killed or is still running")
+        why = "its writer was killed or is still running"
+        if metrics_of(book.path.parent) is not None:
+            why = "this copy is cut off, because its flight has metrics"
+        out.print(f"the log is incomplete: {why}")
     return OK
 
 
@@ -61,7 +66,9 @@ def export_run(run: Path, kind: str, out: Path | None) -> int:
                 found = {} if kind == "bag" else tables(book)
                 paths = to_bag(book, folder) if kind == "bag" else WRITERS[kind](found, folder)
             finally:
-                warn(book.said())
+                warn(lacks(book))
+            if book.last_s is None:
+                raise LogError(f"{book.path}: there are no messages in the log")
     except (LogError, ExportError, ValueError, OSError) as error:
         return refuse(error)
     for path in paths:

@@ -15,7 +15,7 @@ from testbed.config import ConfigError, load
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import LogError, config_of, log_of
 from testbed.logs.replay import Replay
-from testbed.run.api import InterruptedFlight, fork, open_run
+from testbed.run.api import InterruptedFlight, fork, read_folder
 from testbed.run.fork import original_of
 from testbed.run.replay import replay_experiment
 
@@ -55,7 +55,9 @@ def fork_run(
     """Fly a run again up to a time and on with overrides; return the exit code."""
     try:
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
-            flown = fork(open_run(original_of(run)), since, *overrides, log=out)
+            original = read_folder(original_of(run))
+            warn(original.damage)
+            flown = fork(original, since, *overrides, log=out)
     except InterruptedFlight as interrupted:
         flown = interrupted.run
     except TestbedError as error:

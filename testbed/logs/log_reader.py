@@ -103,6 +103,7 @@ class LogReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.finished = False  # the file has a proper end, which was read
+        self.cut_off = False  # all was read, and the file ends early without damage
         self.kinds: dict[str, str] = {}  # topic -> name of its messages
         self.texts: dict[str, str] = {}  # topic -> text of its schema
         self._epoch: int | None = None  # UTC at time 0 of the run [ns]
@@ -145,7 +146,9 @@ class LogReader:
             while not self.finished:
                 records = self._step(file)
                 if records is None:
+                    self.cut_off = self._stuck is None
                     return
+                self.cut_off = False
                 yield from self._rows(file, records)
 
     @property
@@ -163,9 +166,14 @@ class LogReader:
         """UTC at time 0 of the run, as far as it is known [ns]."""
         return self._epoch or 0
 
+    @property
+    def last_s(self) -> float | None:
+        """Time of the run of the last message so far; None: no message [s]."""
+        return self._seconds(self._stamp)
+
     def said(self) -> list[str]:
         """Messages about damage in the part read so far or right after it; empty: none."""
-        places = self._places()
+        places = [*self._places(), *self._hurt_end()]
         lines = [f"{self.path} is {one}" for one in places[:SAID]]
         if len(places) > SAID:
             lines.append(f"{self.path} is damaged in {len(places) - SAID} more places")
@@ -180,6 +188,14 @@ class LogReader:
         if self._stuck is None:
             return self.damages
         return [*self.damages, Damage(self._stuck, None, self._seconds(self._stamp), None)]
+
+    def _hurt_end(self) -> list[Damage]:
+        """Damage after the last message of a finished file."""
+        if not self.finished or self.lost:
+            return []
+        with self.path.open("rb") as file:
+            whole = read_summary(file) is not None
+        return [] if whole else [Damage(self._at, 0, self.last_s, self.last_s)]
 
     def _step(self, file: BinaryIO) -> list[Record] | None:
         """Contents of the next record; None at the current end of the file."""

@@ -119,6 +119,7 @@ class Metrics(Struct, frozen=True):
     touches: list[Touch] = []  # contacts with known time and place
     after: After | None = None  # state of the vehicles after the flight; null: not known
     jets: dict[str, list[JetHealth]] = {}  # of each vehicle, in the order of its file
+    epoch_ns: int | None = None  # UTC at time 0, as in the log; null: not known
 
 
 class Track(Struct, frozen=True):

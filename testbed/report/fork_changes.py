@@ -1,6 +1,6 @@
 """What a fork changes, with the old and the new values."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -12,16 +12,30 @@ from testbed.report.law import law_of
 SHOWN = 8  # values of a fork; more are counted
 
 
-def fork_changes(experiment: Experiment) -> list[str]:
-    """One sentence per fork."""
-    found, before = [], experiment
-    for at, after in experiment.stages():
-        found.append(f"From {at:g} s on: {_changes(before, after)}.")
+def fork_changes(experiment: Experiment, whole: Sequence[str] = ()) -> list[str]:
+    """One sentence per fork.
+
+    Args:
+        experiment: of the fork.
+        whole: changes of the last fork that no stage has, from `changes_of_whole`.
+    """
+    found, before, stages = [], experiment, experiment.stages()
+    for k, (at, after) in enumerate(stages, 1):
+        parts = [*_changes(before, after), *(whole if k == len(stages) else ())]
+        said = "; ".join(parts) or "a fork without changes of law, chain or seed"
+        found.append(f"From {at:g} s on: {said}.")
         before = after
     return found
 
 
-def _changes(before: Experiment, after: Experiment) -> str:
+def changes_of_whole(before: Experiment, after: Experiment, keys: Sequence[str]) -> list[str]:
+    """Values of these keys of an experiment that differ, old and new."""
+    return [
+        _values(before, after, key) for key in keys if getattr(before, key) != getattr(after, key)
+    ]
+
+
+def _changes(before: Experiment, after: Experiment) -> list[str]:
     parts = []
     if law_of(before) != law_of(after):
         parts.append(f"another law, {law_of(before)} \N{RIGHTWARDS ARROW} {law_of(after)}")
@@ -30,7 +44,7 @@ def _changes(before: Experiment, after: Experiment) -> str:
     for key in CHANGEABLE[1:]:
         if getattr(before, key) != getattr(after, key):
             parts.append(_values(before, after, key))
-    return "; ".join(parts) or "a fork without changes of law, chain or seed"
+    return parts
 
 
 def _values(before: Experiment, after: Experiment, part: str) -> str:
@@ -60,4 +74,6 @@ def _word(value: Any) -> str:
         return "none"
     if isinstance(value, float):
         return f"{value:.6g}"
+    if isinstance(value, list) and all(isinstance(one, dict) for one in value):
+        return f"{len(value)} listed"
     return str(value)

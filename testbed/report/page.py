@@ -57,9 +57,12 @@ class ReportError(TestbedError):
 
 def write_report(
     folder: Path, scenario: Experiment, history: History, metrics: Metrics, config: str,
-    original: Original | None = None,
+    original: Original | None = None, changed: Sequence[str] = (),
 ) -> list[Path]:  # fmt: skip
-    """Write report.html and figures/*.svg to a run folder; returns the files, the report first."""
+    """Write report.html and figures/*.svg to a run folder; returns the files, the report first.
+
+    `changed` are changes of a fork that its experiment does not tell.
+    """
     told = lines(scenario, history, metrics.touches)
     charts = figures(scenario, history, metrics.touches, told)
     if original is not None:
@@ -72,7 +75,7 @@ def write_report(
         for chart in charts:
             paths.append(drawings / f"{chart.key}.svg")
             paths[-1].write_text(alone(chart, drawn[chart.key]), encoding="utf-8")
-        text = render(scenario, history, metrics, config, charts, drawn, told)
+        text = render(scenario, history, metrics, config, charts, drawn, told, changed)
         paths[0].write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(
@@ -85,6 +88,7 @@ def write_report(
 def render(
     scenario: Experiment, history: History, metrics: Metrics, config: str,
     charts: Sequence[Chart], drawn: Mapping[str, str], told: Sequence[EventLine],
+    changed: Sequence[str] = (),
 ) -> str:  # fmt: skip
     """The page as HTML; `drawn` are the drawings of the charts, by their keys."""
     first = FIRST if any(c.key == "error_xy" for c in charts) else (*FIRST, "separation")
@@ -95,7 +99,7 @@ def render(
         "<h2>Trajectories</h2>", _figures(scenario, [c for c in charts if c.key in first], drawn),
         f'<div class="phases">{side_by_side}</div>' * bool(phases),
     )  # fmt: skip
-    summary = _tiles(scenario, metrics), _flown(scenario), _warnings(metrics)
+    summary = _tiles(scenario, metrics), _flown(scenario, changed), _warnings(metrics)
     failed = verdict(scenario, metrics).look == "fault"  # then the picture comes first
     sections = [
         _header(scenario, metrics),
@@ -205,7 +209,7 @@ def _pose(pose: tuple[float, float, float]) -> str:
     return _signed(f"({x:.2f}, {y:.2f}) m, {math.degrees(theta):.0f}\N{DEGREE SIGN}")
 
 
-def _flown(scenario: Experiment) -> str:
+def _flown(scenario: Experiment, changed: Sequence[str]) -> str:
     size = scenario.table.size
     obstacles = [
         f"{escape(name)} at {_signed(f'({o.position[0]:g}, {o.position[1]:g})')} m, "
@@ -218,7 +222,7 @@ def _flown(scenario: Experiment) -> str:
         f"\N{MULTIPLICATION SIGN} {size[1]:g} m."
         + (f" Obstacles: {'; '.join(obstacles)}." if obstacles else " No obstacles.")
         + f" Planned: {scenario.duration_s:g} s."
-        + "".join(f" {escape(one)}" for one in fork_changes(scenario))
+        + "".join(f" {escape(one)}" for one in fork_changes(scenario, changed))
     )
     has_goals = not has_formation(scenario.controller)
     rows = "".join(

@@ -1,6 +1,7 @@
 """`import testbed`: fly an experiment from Python."""
 
 import tempfile
+import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.metadata import version
@@ -22,7 +23,7 @@ from testbed.run.arguments import check_experiment, check_number, check_override
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import new_folder, take_back, utc_ns, write_config, write_metrics
-from testbed.run.fork import check_fork, forked, resumed
+from testbed.run.fork import ForkError, check_fork, forked, resumed
 from testbed.run.interrupt import Interrupt
 from testbed.run.progress import Progress
 from testbed.run.replay import replay_experiment
@@ -113,8 +114,20 @@ def open_run(folder: str | Path) -> Run:
         folder: run folder of `testbed run` or `testbed.fly(..., log=folder)`.
 
     Raises:
-        TestbedError: it is not a run's folder, or its log cannot be read.
+        TestbedError: it is not a run's folder, its files are of different runs, or its log cannot
+            be read.
+
+    Warns:
+        UserWarning: a part of the log is missing; `Run.damage` has the same lines.
     """
+    run = read_folder(folder)
+    if run.damage:
+        warnings.warn("\n".join(run.damage), stacklevel=2)
+    return run
+
+
+def read_folder(folder: str | Path) -> Run:
+    """See `open_run`; without a warning."""
     where = "testbed.open_run"
     path = path_of(where, folder, FLOWN)
     if not path.exists():
@@ -153,7 +166,8 @@ def fork(
         run: of `open_run`, or of `fly` with a log.
         t: the first tick at or after it is the first with the changes [s].
         overrides: "key=value" as on the command line: of the law, `guidance`, `flight`, `inject`,
-            or `seed`, which counts for cameras, links and pulses from then on.
+            or `seed`, which counts for cameras, links and pulses from then on; `name`,
+            `description`, `criteria` and `duration_s` count for the whole run.
         log: a new or empty folder; None: a new one in runs/.
         progress: show the progress on stderr.
 
@@ -161,20 +175,26 @@ def fork(
         The run, with folder, log and report; its report draws the original, too.
 
     Raises:
-        TestbedError: the run has no log, or the flight up to `t` is not the one in the log.
+        TestbedError: the run has no log, it ended before `t`, or the flight up to `t` is not the
+            one in the log.
         InterruptedFlight: see `fly`.
     """
     check_number("fork", t, "a time of the flight in seconds")
     check_overrides("fork", overrides)
     original = _logged(run, "fork")
-    experiment = forked(load(config_of(original)), t, overrides)
+    before = load(config_of(original))
+    experiment = forked(before, t, overrides)
+    end = run.metrics.duration_s
+    if t >= end:
+        expected = f"a time before the flight's end at {end:g} s"
+        raise ForkError(where="fork", expected=expected, found=f"{t:g} s")
     make = _maker("twin")
     if run.metrics.rig != "twin":
         experiment, rig = replace(experiment, board="model"), resumed(original, t)
         make = lambda folder: rig  # noqa: E731
     folder = new_folder(None if log is None else path_of("fork, log", log, NEW), experiment.name)
     flown = _fly(experiment, make, folder, progress)
-    check_fork(original, folder, t, on_board=experiment.deploy.law == "vehicle")
+    check_fork(original, folder, t, before, experiment)
     write_page(folder, experiment)
     return flown
 

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from testbed.config import load
-from testbed.logs.history import gather
-from testbed.logs.log_reader import LogReader, config_of, log_of
+from testbed.logs.log_reader import config_of, log_of
 from testbed.report.events import lines
 from testbed.report.film import Film, FilmError
 from testbed.run.camera_video import CameraVideo
-from testbed.run.post_mortem import judged
+from testbed.run.recorded import recorded
 
 RATE = 15.0  # frames per second
 LENGTH_S = 30.0  # of a film whose speed is not given, if the run is longer
@@ -35,7 +34,7 @@ def make_film(
         out: *.gif or *.mp4; None: in the run folder, MP4 if ffmpeg is installed.
         speed: multiple of real time; None: at most LENGTH_S long.
         width: of the picture [px].
-        warn: called with a line for each damaged place of the log.
+        warn: called with a line for each part of the log that is missing.
         video: a camera's video, shown at the right.
         offset: time of the run at which the video begins [s].
         watch: passes the frames on, of which there are so many, to show progress.
@@ -50,10 +49,7 @@ def make_film(
         raise FilmError(where=str(path), expected="the program ffmpeg, which writes MP4; on Debian"
                         " `apt install ffmpeg`, or choose .gif", found="none")  # fmt: skip
     log, experiment = log_of(run), load(config_of(run))
-    book = LogReader(log)
-    history = gather(book)
-    warn(book.said())
-    metrics = judged(log.parent, log, experiment, history)
+    history, metrics, _ = recorded(log, experiment, warn)
     told = lines(experiment, history, metrics.touches)
     film = Film(experiment, history, told, width - width % 2)
     times = film.times(speed or max(1.0, film.end / LENGTH_S), RATE)

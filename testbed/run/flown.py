@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.core.extra import needs_extra
-from testbed.logs.history import History, VehicleHistory, gather
-from testbed.logs.log_reader import LogReader, log_of
+from testbed.logs.history import History, VehicleHistory
+from testbed.logs.log_reader import log_of
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import alone
 from testbed.report.figures import figures
 from testbed.report.verdict import NOTHING_TO_JUDGE
 from testbed.run.arguments import path_of
 from testbed.run.experiment import texts_of
-from testbed.run.post_mortem import judged
+from testbed.run.recorded import recorded
 from testbed.run.table import Table
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Run(Mapping[str, Vehicle]):
         experiment: what was flown.
         metrics: the numbers of metrics.json.
         folder: where the run is kept; None for a run without a log.
-        damage: a line for each damaged place of the log; the rest is read.
+        damage: a line for each part of the log that is missing; the rest is read.
         fly_on: `testbed.fork`; api.py, which can fly, sets it.
     """
 
@@ -237,8 +237,5 @@ def _columns(vehicle: VehicleHistory, true_t: Array) -> Vehicle:
 
 def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
     """Read the files of a run; `folder` is what `Run.folder` reports."""
-    log = log_of(files)
-    book = LogReader(log)
-    history = gather(book)
-    metrics = judged(log.parent, log, experiment, history)
-    return Run(experiment, metrics, history, folder, tuple(book.said()))
+    history, metrics, said = recorded(log_of(files), experiment)
+    return Run(experiment, metrics, history, folder, tuple(said))

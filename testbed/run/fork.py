@@ -16,7 +16,6 @@ from typing import Any
 
 import msgspec
 import tomli_w
-from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment, Fork, dump, loads
@@ -27,19 +26,13 @@ from testbed.files import write_atomic
 from testbed.logs.log_reader import LogReader, config_of, log_of
 from testbed.logs.replay import Difference, before_damage, difference, parting
 from testbed.logs.row_reader import RowReader
+from testbed.report.fork_changes import changes_of_whole
 from testbed.rig.interface import Rig
 from testbed.rig.resumed import make_resumed
+from testbed.run.origin import NOTE, Origin
 
 OF_THE_WHOLE = ("name", "description", "criteria", "duration_s")  # may change, for the whole run
 TICKS = ("tick", "ending", "host")
-NOTE = "fork.json"
-
-
-class Origin(Struct, frozen=True):
-    """Where a fork comes from; in fork.json of its folder."""
-
-    run: str  # folder of the original, relative to the fork's
-    t: float  # [s]
 
 
 class ForkError(TestbedError):
@@ -146,13 +139,22 @@ def resumed(original: Path, t: float) -> Callable[[Experiment], Rig]:
     return partial(make_resumed, ticks)
 
 
-def check_fork(original: Path, folder: Path, t: float, *, on_board: bool) -> None:
+def check_fork(
+    original: Path, folder: Path, t: float, before: Experiment, after: Experiment
+) -> None:
     """Compare a fork's log with that of its original, and note where it comes from.
+
+    Args:
+        original: run folder.
+        folder: of the fork.
+        t: of the fork [s].
+        before: experiment of the original.
+        after: experiment of the fork.
 
     Raises:
         ForkError: they differ before `t`; the fork's folder is removed.
     """
-    first = departure(original, folder, t, on_board=on_board)
+    first = departure(original, folder, t, on_board=after.deploy.law == "vehicle")
     if first is not None:
         shutil.rmtree(folder)
         hint = f"the code is not the one that flew it: `testbed replay {original}` says more"
@@ -164,18 +166,17 @@ def check_fork(original: Path, folder: Path, t: float, *, on_board: bool) -> Non
             f"{first.logged!r}, is {first.now!r}",
             hint=hint,
         )  # fmt: skip
-    note = Origin(os.path.relpath(original.resolve(), folder.resolve()), t)
+    place = os.path.relpath(original.resolve(), folder.resolve())
+    whole = changes_of_whole(before, after, (*OF_THE_WHOLE, "inject"))
+    note = Origin(place, t, _began(log_of(original)), whole)
     write_atomic(folder / NOTE, msgspec.json.encode(note) + b"\n")
 
 
-def origin_of(folder: Path) -> tuple[Path, float] | None:
-    """The folder of a fork's original, if it is still there, and the time of the fork [s]."""
-    try:
-        note = msgspec.json.decode((folder / NOTE).read_bytes(), type=Origin)
-        log_of(folder / note.run)
-    except (OSError, msgspec.DecodeError, TestbedError):
-        return None
-    return folder / note.run, note.t
+def _began(log: Path) -> int | None:
+    """UTC at time 0 of a flight, from the first row of its log; None if it has none [ns]."""
+    book = LogReader(log)
+    next(book.read(), None)
+    return book.epoch or None
 
 
 def original_of(run: Path) -> Path:

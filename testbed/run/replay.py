@@ -11,6 +11,8 @@ from testbed.core.types import HostTick
 from testbed.logs.log_reader import LogReader
 from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, before_damage, replay
 from testbed.rig.forked import make_host, make_vehicle
+from testbed.run.recorded import check_flight
+from testbed.run.whole import is_whole, lacks, metrics_of
 
 
 def replay_experiment(
@@ -21,7 +23,10 @@ def replay_experiment(
     Args:
         experiment: defines the agents and laws.
         log: log of a run.
-        warn: called with a line for each damaged place of the log.
+        warn: called with a line for each part of the log that is missing.
+
+    Raises:
+        LogError: the log has no ticks, or is not of this experiment.
     """
     hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
     book = LogReader(log)
@@ -32,8 +37,9 @@ def replay_experiment(
             {name: LoggedHost(partial(_law_of, experiment, name)) for name in hosts},
         )
     finally:
-        warn(book.said())
-    return replace(verdict, whole=not book.lost)
+        warn(lacks(book))
+    check_flight(book, metrics_of(log.parent))
+    return replace(verdict, whole=is_whole(book))
 
 
 def _law_of(experiment: Experiment, name: str, link: LoggedLink) -> AtHost:

@@ -3,14 +3,15 @@
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from testbed.config import Experiment, load
 from testbed.core.extra import pip_install
-from testbed.logs.history import gather
-from testbed.logs.log_reader import LogReader, log_of
-from testbed.report.original import Original
+from testbed.core.law import Concern
+from testbed.logs.log_reader import log_of
 from testbed.report.page import ReportError, write_report
-from testbed.run.fork import origin_of
-from testbed.run.post_mortem import judged
+from testbed.run.origin import drawn_original, read_origin
+from testbed.run.recorded import recorded
 
 ZOOM = 4  # of a PNG: 2400 pixels wide, 8 inches at 300 dpi
 
@@ -20,7 +21,7 @@ def make_report(folder: Path, warn: Callable[[list[str]], None] = lambda lines: 
 
     Args:
         folder: run folder.
-        warn: called with a line for each damaged place of the log.
+        warn: called with a line for each thing that is missing; the page has them, too.
     """
     log_of(folder)  # raises if this is not a run folder
     return write_page(folder, load(folder / "config.toml"), warn)
@@ -30,22 +31,16 @@ def write_page(
     folder: Path, scenario: Experiment, warn: Callable[[list[str]], None] = lambda lines: None
 ) -> list[Path]:
     """Write the page for a loaded experiment, so that no law's file is executed."""
-    config, log = folder / "config.toml", log_of(folder)
-    book = LogReader(log)
-    history = gather(book)
-    warn(book.said())
-    text = config.read_text(encoding="utf-8")
-    metrics = judged(folder, log, scenario, history)
-    return write_report(folder, scenario, history, metrics, text, _original(folder))
-
-
-def _original(folder: Path) -> Original | None:
-    """The original of a fork."""
-    origin = origin_of(folder)
-    if origin is None:
-        return None
-    run, t = origin
-    return Original(run.resolve().name, t, gather(LogReader(log_of(run))))
+    history, metrics, said = recorded(log_of(folder), scenario, warn)
+    note, original, changed = read_origin(folder), None, []
+    if note is not None:
+        original, missing = drawn_original(folder, note, history)
+        warn(missing)
+        said, changed = [*said, *missing], note.whole
+    concerns = [Concern("missing", line) for line in said]
+    metrics = replace(metrics, warnings=[*metrics.warnings, *concerns])
+    text = (folder / "config.toml").read_text(encoding="utf-8")
+    return write_report(folder, scenario, history, metrics, text, original, changed)
 
 
 def make_pictures(drawings: Iterable[Path]) -> None:

@@ -103,6 +103,23 @@ def test_every_chunk_that_is_untouched_is_read_and_every_loss_is_said(tmp_path, 
         assert book.lost == (len(found) < COUNT)
 
 
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda c: c[:-1],
+        lambda c: c[:-5],
+        lambda c: flipped(c, len(c) - 3, 4),
+        lambda c: flipped(c, len(c) - 40, 4),
+        lambda c: c + b"xx" * 1000,
+    ],
+)
+def test_damage_after_the_last_message_is_said(tmp_path, content, spoil):
+    book, found = read(tmp_path, spoil(content))
+    assert (len(found), book.lost, book.complete()) == (COUNT, False, False)
+    (said,) = book.said()
+    assert said.endswith(": nothing of the flight is missing")
+
+
 def test_a_whole_log_has_no_damage(tmp_path, content):
     book, found = read(tmp_path, content)
     assert found == [k * 10**7 for k in range(COUNT)]

@@ -21,6 +21,7 @@ from testbed.rig.wired.host import WireRig
 from testbed.run import fork as forking
 from testbed.run.folder import write_config
 from testbed.run.fork import ForkError, forked
+from testbed.run.report import make_report
 
 LAW = """
 class Spring:
@@ -156,6 +157,66 @@ def test_the_note_of_a_fork_names_its_original(run, tmp_path):
     note = json.loads((fork.folder / "fork.json").read_text())
     assert (fork.folder / note["run"]).resolve() == Path(run.folder).resolve()
     assert note["t"] == 2.0
+
+
+@pytest.fixture
+def moved(run, tmp_path):
+    """A fork at 4 s, and a copy of its original, beside each other."""
+    shutil.copytree(run.folder, tmp_path / "a")
+    testbed.open_run(tmp_path / "a").fork(4.0, seed=9, log=tmp_path / "b")
+    return tmp_path
+
+
+def drawn(folder):
+    lines = []
+    make_report(folder, lines.extend)
+    page = (folder / "report.html").read_text()
+    assert all(line in page for line in lines)
+    return "Dotted: a, from which" in page, lines
+
+
+def test_an_original_that_is_gone_or_damaged_is_not_drawn(moved):
+    assert drawn(moved / "b") == (True, [])
+    (moved / "a" / "log.mcap").write_bytes(b"no log")
+    dotted, (line,) = drawn(moved / "b")
+    assert (dotted, "../a has a log that cannot be read" in line) == (False, True)
+    shutil.rmtree(moved / "a")
+    dotted, (line,) = drawn(moved / "b")
+    assert (dotted, line) == (False, "the original of this fork is not drawn: ../a has no log")
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+@pytest.mark.parametrize(("name", "seed"), [("hold", 4), ("hold", 3), ("xue2021_table_static", 3)])
+def test_another_run_in_the_original_s_place_is_not_drawn(moved, name, seed, is_old):
+    """An older note tells another run by its ticks; the same flight, flown again, is as good."""
+    shutil.rmtree(moved / "a")
+    other = testbed.load(name, "duration_s=8", "criteria={}", seed=seed)
+    testbed.fly(other, log=moved / "a")
+    note = moved / "b" / "fork.json"
+    tree = json.loads(note.read_text())
+    if is_old:
+        note.write_text(json.dumps({"run": tree["run"], "t": tree["t"]}))
+    dotted, lines = drawn(moved / "b")
+    assert dotted == (is_old and (name, seed) == ("hold", 3))
+    assert dotted or "is another run" in lines[0]
+
+
+def test_a_fork_after_the_flight_s_end_is_refused(run, tmp_path):
+    fault = 'inject=[{kind="stick_open", vehicle="sat1", at_s=1.0, jet=2}]'
+    short = testbed.fly(
+        testbed.load("hold", "duration_s=8", "criteria={}", fault), log=tmp_path / "a"
+    )
+    end = short.metrics.duration_s
+    assert end < 7.0
+    with pytest.raises(ForkError, match=f"before the flight's end at {end:g} s"):
+        short.fork(end + 0.5, seed=9, log=tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+
+
+def test_the_page_names_a_change_of_the_whole_run(run, tmp_path):
+    fork = run.fork(4.0, {"duration_s": 9.0}, log=tmp_path / "b")
+    page = (fork.folder / "report.html").read_text()
+    assert "From 4 s on: duration_s 8 \N{RIGHTWARDS ARROW} 9." in page
 
 
 @pytest.fixture(scope="module")

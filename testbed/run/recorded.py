@@ -1,0 +1,88 @@
+"""The flight in a run folder, from files that are of the same run."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from testbed.config import Experiment
+from testbed.logs.history import History, gather
+from testbed.logs.log_reader import LogError, LogReader
+from testbed.metrics.run_metrics import Metrics
+from testbed.run.post_mortem import judged
+from testbed.run.whole import lacks, metrics_of
+
+SAME_NS = 1_000_000  # two times of the beginning of one flight differ by less
+
+
+class MixedUpError(LogError):
+    """The files in a run folder are of different runs."""
+
+
+class Recorded(NamedTuple):
+    """A flight as its folder holds it."""
+
+    history: History
+    metrics: Metrics
+    said: list[str]  # a line for each part of the log that is missing
+
+
+def recorded(
+    log: Path, experiment: Experiment, warn: Callable[[list[str]], None] = lambda lines: None
+) -> Recorded:
+    """Read a log, and the metrics beside it.
+
+    Args:
+        log: log of a run.
+        experiment: of the same run.
+        warn: called with a line for each part of the log that is missing.
+
+    Raises:
+        LogError: the log has no ticks, or cannot be read.
+        MixedUpError: log, metrics and experiment are not of the same run.
+    """
+    book = LogReader(log)
+    history = gather(book)
+    said = lacks(book)
+    warn(said)
+    _check_vehicles(log, history.vehicles, experiment)
+    if not history.vehicles and _has_flown(metrics_of(log.parent)):
+        raise LogError(
+            where=str(log), expected="the ticks of a flight",
+            found="there are no ticks in the log", hint="; ".join(said),
+        )  # fmt: skip
+    metrics = judged(log.parent, log, experiment, history)
+    _check_vehicles(log.parent / "metrics.json", metrics.vehicles, experiment)
+    check_flight(book, metrics)
+    return Recorded(history, metrics, said)
+
+
+def check_flight(book: LogReader, metrics: Metrics | None) -> None:
+    """Refuse a log whose flight began at another time than that of the metrics.
+
+    Older metrics, and flights without a time of day, do not say when they began.
+
+    Raises:
+        MixedUpError: they are of different flights.
+    """
+    began = None if metrics is None else metrics.epoch_ns
+    has_beginning = not book.damages or book.damages[0].since is not None
+    if began is None or not book.epoch or not has_beginning:
+        return
+    if abs(book.epoch - began) > SAME_NS:
+        raise MixedUpError(
+            where=str(book.path), expected="the log of the flight in metrics.json",
+            found="the log of a flight that began at another time",
+            hint="a file in this folder is of another run",
+        )  # fmt: skip
+
+
+def _check_vehicles(path: Path, found: Iterable[str], experiment: Experiment) -> None:
+    if strange := [name for name in found if name not in experiment.vehicles]:
+        raise MixedUpError(
+            where=str(path), expected=f"vehicles of config.toml: {', '.join(experiment.vehicles)}",
+            found=", ".join(strange), hint="a file in this folder is of another run",
+        )  # fmt: skip
+
+
+def _has_flown(metrics: Metrics | None) -> bool:
+    return metrics is None or metrics.duration_s > 0.0
