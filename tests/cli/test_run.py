@@ -19,6 +19,7 @@ WIRES = {
 }  # fmt: skip
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
+    "epoch_ns",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles", "warnings",
     "phase", "red", "touches", "after",
     "formation", "jets",
@@ -198,6 +199,7 @@ def test_the_folder_s_config_repeats_the_run(testbed, experiment, duration):
     assert rows_of("a") == rows_of("b")
     a, b = metrics_of(Path("a")), metrics_of(Path("b"))
     for metrics in (a, b):
+        assert metrics.pop("epoch_ns") > 0
         assert metrics.pop("wall_s") > 0.0
         assert metrics.pop("real_time_factor") > 0.0
     assert a == b
