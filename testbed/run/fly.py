@@ -277,4 +277,4 @@ def _fly_and_judge(
     if recorder.lost:
         lost = Concern("log_rows_lost", f"{recorder.lost} rows: the log writer did not keep up")
         metrics = replace(metrics, warnings=[*metrics.warnings, lost])
-    return replace(metrics, epoch_ns=epoch_ns or None)
+    return replace(metrics, epoch_ns=recorder.epoch_ns or None)
