@@ -15,6 +15,8 @@ from testbed.metrics.run_metrics import FormationCriteria, Metrics, weakest_jet
 from testbed.report.page import OF_A_GOAL, ROWS, known
 from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
+STOP_TOOK = 0.5  # a fault that was found so long before the end gets its own time [s]
+
 
 def code_of(metrics: Metrics) -> int:
     """The exit code of a run."""
@@ -131,8 +133,9 @@ def _verdict(metrics: Metrics) -> str:
         if not met
     ]
     if metrics.fault:
-        why = escape(metrics.fault)
-        return f"[bold red]aborted[/] after {metrics.duration_s:.1f} s by a fault: {why}"
+        why, end, found = escape(metrics.fault), metrics.duration_s, metrics.fault_t
+        at = f" at {found:.1f} s" if found is not None and end - found >= STOP_TOOK else ""
+        return f"[bold red]aborted[/] after {end:.1f} s by a fault{at}: {why}"
     if not metrics.completed:
         return f"[bold yellow]interrupted[/] at {metrics.duration_s:.1f} s: not judged"
     if failed:

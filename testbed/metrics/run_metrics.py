@@ -116,6 +116,7 @@ class Metrics(Struct, frozen=True):
     phase: str = ""  # of the supervisor at the end: DISARMED, STOPPED or FAULT
     red: list[Check] = []  # failed arming checks that kept the run from starting
     fault_report: FaultReport | None = None  # of `fault`
+    fault_t: float | None = None  # when it was found; the flight ends at rest, later [s]
     touches: list[Touch] = []  # contacts with known time and place
     after: After | None = None  # state of the vehicles after the flight; null: not known
     jets: dict[str, list[JetHealth]] = {}  # of each vehicle, in the order of its file

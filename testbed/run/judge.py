@@ -71,6 +71,7 @@ def measure(
         min_vehicle_distance_m=nearest_vehicles(smallest_separation(track), touches, radii),
         fault=ending.fault.words if ending.fault else None,
         fault_report=ending.fault,
+        fault_t=ending.found_t,
         criteria=judge(experiment.criteria, vehicles, len(touches), clear)
         | (judge_formation(wanted, together) if wanted else {})
         if is_judged

@@ -89,6 +89,7 @@ def test_3_when_a_fault_ends_the_run(testbed, read_log, overrides, reason):
     assert last["outputs"]["fault"]
     assert messages["/sat1/event"][-1][1]["text"] == metrics["fault"]
     assert metrics["fault_report"]["vehicle"] == "sat1"
+    assert 0.0 < metrics["fault_t"] <= metrics["duration_s"]
     assert not any(one["on_us"] for one in last["pulses"])  # every valve is shut
 
 
@@ -153,7 +154,7 @@ def test_a_terminal_without_unicode(start, tmp_path, encoding):
 def test_metrics_have_the_keys_of_the_contract(testbed):
     testbed("run", "zhang2023_table", "duration_s=1", "--seed", "5", "--out", "out")
     metrics = metrics_of(Path("out"))
-    assert set(metrics) == METRICS | WIRES | {"fault", "fault_report"}
+    assert set(metrics) == METRICS | WIRES | {"fault", "fault_report", "fault_t"}
     assert {metrics[key] for key in WIRES} == {None}  # there are none
     assert (metrics["experiment"], metrics["rig"], metrics["seed"]) == (
         "zhang2023_table", "twin", 5,
