@@ -99,8 +99,6 @@ class SerialBoard:
                         self.connected = True
                     self._exchange(port)
             except (serial.SerialException, OSError):
-                with self._changed:
-                    self._port = None
                 self._lost()
             opened = None
 
@@ -118,10 +116,17 @@ class SerialBoard:
             os.read(self._wake_read, 4096)
 
     def _exchange(self, port: serial.Serial) -> None:
-        line = port.fileno()
         with self._changed:
             self._unsent = b"\0"  # terminates a partial frame at the board
             self._port = port
+        try:
+            self._pass_bytes(port)
+        finally:
+            with self._changed:
+                self._port = None  # before it is closed: `feed` writes to it
+
+    def _pass_bytes(self, port: serial.Serial) -> None:
+        line = port.fileno()
         while not self._closing:
             # Keep at most about one frame in the driver, where it cannot be withdrawn.
             free = port.out_waiting <= CODED_MAX
@@ -137,8 +142,6 @@ class SerialBoard:
             if writable:
                 with self._changed:
                     self._unsent = rest[os.write(line, rest) :]
-        with self._changed:
-            self._port = None
 
     def _next(self, *, free: bool) -> bytes:
         with self._changed:

@@ -10,6 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+import serial
 
 from firmware_interface.frame import Decoder, Frame, encode, encode_message
 from firmware_interface.host_pty import HostPtyBoard
@@ -179,6 +180,32 @@ def test_a_lost_port_is_opened_again_and_nothing_old_is_sent(limits, tmp_path):
         assert session.state == State.SAFE
     second.close()
     far.close()
+
+
+def test_a_command_while_a_lost_port_is_being_closed_is_dropped(monkeypatch):
+    ours, other = os.openpty()
+    tty.setraw(other)
+    close, sending, errors = serial.Serial.close, [], []
+
+    def close_and_send(port):
+        close(port)
+        for board in sending:
+            try:
+                board.feed(encode_message(Disarm(), 1, 0))
+            except Exception as error:
+                errors.append(error)
+
+    monkeypatch.setattr(serial.Serial, "close", close_and_send)
+    with closing(SerialBoard(os.ttyname(other))) as board:
+        assert select.select([ours], [], [], PATIENCE_S)[0]  # its first byte: nothing is unsent
+        with board._changed:
+            sending.append(board)
+        os.close(ours)
+        with board._changed:
+            assert board._changed.wait_for(lambda: not board.connected, PATIENCE_S)
+        sending.clear()
+    os.close(other)
+    assert errors == []
 
 
 def test_of_plans_not_yet_written_only_the_newest_counts(port, monkeypatch):
