@@ -24,6 +24,8 @@ from testbed.run.fly import FlightScreen
 
 REFRESH_HZ = 8
 CALM = "cyan"  # of a progress bar; red is for faults
+NUMBERS = "error [mm]", "clearance [m]", "speed [mm/s]", "gas [%]", "pose age [ms]"
+LEAST_STATE = 10  # width of a state, which folds [characters]
 
 
 class LiveTable(FlightScreen):
@@ -126,14 +128,23 @@ class LiveTable(FlightScreen):
         self._progress.update(self._bar, completed=self._t, description=words)
         if not self._ticks:
             return self._progress
-        grid = Grid(box=None, pad_edge=False)
-        for heading in ("vehicle", "state"):
-            grid.add_column(heading, overflow="fold")
-        for heading in ("error [mm]", "clearance [m]", "speed [mm/s]", "gas [%]", "pose age [ms]"):
+        grid, ticks = Grid(box=None, pad_edge=False), list(self._ticks.items())
+        grid.add_column("vehicle", no_wrap=True)
+        grid.add_column("state", overflow="fold")
+        count = self._fitting(max(len(name) for name, _ in ticks))
+        for heading in NUMBERS[:count]:
             grid.add_column(heading.replace("[", "\\["), justify="right", no_wrap=True)
-        for name, tick in list(self._ticks.items()):
-            grid.add_row(*self._row(name, tick))
+        for name, tick in ticks:
+            grid.add_row(*self._row(name, tick)[: 2 + count])
         return Group(self._progress, grid)
+
+    def _fitting(self, longest_name: int) -> int:
+        """How many of NUMBERS fit beside the names and the states."""
+        used, count = max(longest_name, len("vehicle")) + 1 + LEAST_STATE, 0
+        for heading in NUMBERS:
+            used += 1 + len(heading)
+            count += used <= self._console.width
+        return max(1, count)
 
     def _off(self, t: float) -> dict[str, float]:
         """Distance of each vehicle from its reference [m]."""

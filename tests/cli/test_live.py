@@ -151,3 +151,17 @@ def test_a_long_state_folds_at_80_columns_and_no_number_is_cut():
         assert heading in said
     row = next(line for line in said.splitlines() if line.startswith("sat3"))
     assert len(row.split()) == 7
+
+
+@pytest.mark.parametrize(("width", "headings"), [(40, 1), (60, 3), (80, 5)])
+def test_a_narrow_terminal_shows_fewer_numbers_and_whole_names(width, headings):
+    live = flown(Console(file=io.StringIO(), width=width))
+    out = Console(file=io.StringIO(), width=width)
+    out.print(live.picture())
+    said = out.file.getvalue()
+    table = said[said.index("vehicle") :]
+    assert "\N{HORIZONTAL ELLIPSIS}" not in table
+    assert max(map(len, said.splitlines())) <= width
+    rows = [line.split() for line in said.splitlines() if line.startswith("sat")]
+    assert [row[:2] for row in rows] == [[name, "flies"] for name in ("sat1", "sat2", "sat3")]
+    assert {len(row) for row in rows} == {2 + headings}
