@@ -102,7 +102,7 @@ def predict_mean(x, fired, model, start, end, flown):
     """
     steps = int(np.ceil((end - start) / SUB_STEP - 1e-9))
     flow = scratch(model.effect.shape[1])
-    go_along(x, model.com, 1.0)
+    shift_point(x, model.com, 1.0)
     for k in range(steps):
         a = start + (end - start) * k / steps
         b = start + (end - start) * (k + 1) / steps
@@ -121,16 +121,16 @@ def predict_mean(x, fired, model, start, end, flown):
         for j in range(flow.shape[0]):
             flown[1, j] += h * (flown[0, j] + 0.5 * flow[j])
             flown[0, j] += flow[j]
-    go_along(x, model.com, -1.0)
+    shift_point(x, model.com, -1.0)
 
 
 @compiled
-def go_along(x, way, times):
-    """Change a state, in place, to that of the point at `times` times `way` in B [m]."""
-    if way[0] == 0.0 and way[1] == 0.0:
+def shift_point(x, offset, sign):
+    """Move a state, in place, to the body's point that is `sign` times `offset` away in B [m]."""
+    if offset[0] == 0.0 and offset[1] == 0.0:
         return
     c, s = np.cos(x[2]), np.sin(x[2])
-    rx, ry = times * (c * way[0] - s * way[1]), times * (s * way[0] + c * way[1])
+    rx, ry = sign * (c * offset[0] - s * offset[1]), sign * (s * offset[0] + c * offset[1])
     x[0], x[1] = x[0] + rx, x[1] + ry
     x[3], x[4] = x[3] - x[5] * ry, x[4] + x[5] * rx
 

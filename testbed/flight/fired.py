@@ -68,7 +68,7 @@ def model_of(vehicle: Vehicle) -> Model:
     """The constants of a vehicle file."""
     return Model(
         effect_matrix(vehicle.jets, about=vehicle.com),
-        (float(vehicle.com[0]), float(vehicle.com[1])),
+        vehicle.com,
         vehicle.mass,
         vehicle.inertia,
         vehicle.air.droop,

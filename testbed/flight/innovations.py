@@ -333,7 +333,7 @@ def known_of(
     ]
     period, turn = max(LOOK, 1.0 / mocap.rate_hz), np.radians(mocap.noise_deg) ** 2
     return Known(
-        (float(x), float(y)),
+        vehicle.com,
         np.array([mocap.noise**2 + (x * x + y * y) * turn, turn]) + 1e-16,
         vehicle.tolerance.pulse, bumps * bumps / CELL, sure, np.array(turned), pads_of(vehicle),
         hardest, period, 1.0 - min(0.5, FORGETS * period / MEMORY_S),

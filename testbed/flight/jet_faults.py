@@ -352,7 +352,7 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     tolerances = max(FILED, thrust), bent, max(INERTIA, inertia), tolerance[n]
     believes = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
     return Known(
-        effect, (float(vehicle.com[0]), float(vehicle.com[1])), vehicle.mass / vehicle.inertia,
+        effect, vehicle.com, vehicle.mass / vehicle.inertia,
         vehicle.air.droop, vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia,
         tolerance**-2.0,
         slope, bumps, ALIKE * (period * (bumps - BUMPS)) ** 2,

@@ -35,8 +35,9 @@ from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.pilot import Pilot
 
-SILENT_S = 1.2  # the host stops all if a vehicle is silent for this long [s] ...
-SILENT_TICKS = 12  # ... and for so many ticks, as in the row `neighbour_missing` of faults.toml
+# The host stops all vehicles if it has not heard one for both of these.
+SILENT_S = 1.2  # [s]
+SILENT_TICKS = 12  # as in the row `neighbour_missing` of faults.toml
 LONGEST_STOP = 15.0  # after a fault the flight ends at the latest after this time [s]
 ENOUGH = 0.9  # of the set pressure: below it a hold ends, while there is gas to brake
 
@@ -213,7 +214,7 @@ class HostNode:
 
 
 def longest_silence(period: float) -> float:
-    """After this time without a state a vehicle is silent [s]; `period` is of the ticks [s]."""
+    """Longest time without a state of a vehicle that still flies [s]; `period` is a tick's [s]."""
     return max(SILENT_S, SILENT_TICKS * period)
 
 

@@ -46,7 +46,7 @@ def gains_of(params: TrackerParams, vehicle: Vehicle, period: float) -> Gains:
     return Gains(
         params.bandwidth, params.damping, params.heading_bandwidth, params.heading_damping,
         params.brake_decel, vehicle.mass, vehicle.inertia,
-        (float(vehicle.com[0]), float(vehicle.com[1])), period,
+        vehicle.com, period,
     )  # fmt: skip
 
 

@@ -46,7 +46,7 @@ from testbed.rig.wired.stop_requests import Asked
 
 PRIORITY = 10  # below the vehicles, which drive the valves
 LEASE_S = 1.0  # lifetime of a lease: as long as the operator may be absent
-LOST_S, LOST_TICKS = 1.0, 10  # a vehicle that is silent for so long and so many ticks is lost
+LOST_S, LOST_TICKS = 1.0, 10  # a vehicle that was not heard for both is lost
 WAIT_S = 4.0  # time for the vehicles' final reports, beyond their longest brake
 LOOK_NS = 20_000_000
 LEASE_NS = 100_000_000  # between two leases after the end
