@@ -37,7 +37,8 @@ def write_page(
         original, missing = drawn_original(folder, note, history)
         warn(missing)
         said, changed = [*said, *missing], note.whole
-    concerns = [Concern("missing", line) for line in said]
+    # the page may be read elsewhere: its files are named without their folder
+    concerns = [Concern("missing", line.replace(f"{folder}/", "")) for line in said]
     metrics = replace(metrics, warnings=[*metrics.warnings, *concerns])
     text = (folder / "config.toml").read_text(encoding="utf-8")
     return write_report(folder, scenario, history, metrics, text, original, changed)
