@@ -3,6 +3,7 @@
 import subprocess
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 PATIENCE_S = 240.0  # of the test, not of what is tested
@@ -12,8 +13,9 @@ LOOK_S = 0.05
 def eventually(look: Callable[[], Any], what: str) -> Any:
     """The first true value of `look`; `what` names what was expected."""
     for _ in range(round(PATIENCE_S / LOOK_S)):
-        if found := look():
-            return found
+        with suppress(ConnectionError):  # the page is being loaded anew
+            if found := look():
+                return found
         threading.Event().wait(LOOK_S)
     raise AssertionError(f"never: {what}")
 
