@@ -5,7 +5,9 @@
 The seeds of zhang2023's table run, flown by a plain loop in this process, by Dask with one worker
 and with `--jobs` of them, one after the other and over again; the median round counts. Beside the
 clock's time there is the processors' time of everybody together, which is of use where others share
-the machine. `--growth N` flies N runs of half a second and prints what the processes grew to.
+the machine. The workers also count, one alone and all of them at once, which is what this machine
+gives to programs that share nothing. `--growth N` flies N runs of half a second and prints what the
+processes grew to.
 """
 
 import argparse
@@ -21,6 +23,8 @@ from testbed.campaign.engine import WorkerPool, workers
 from testbed.campaign.row import FlownRun
 from testbed.campaign.trial import fly_batch, read, warm
 from testbed.config import dump, find, load
+
+COUNTED = 20_000_000  # about a second
 
 
 def lost(task):
@@ -57,6 +61,21 @@ def through_dask(client, base, tasks):
     return time.perf_counter() - began, spent() - cpu
 
 
+def count():
+    """Seconds by the clock for a loop that needs no memory."""
+    began, k = time.perf_counter(), 0
+    while k < COUNTED:
+        k += 1
+    return time.perf_counter() - began
+
+
+def scaling(client):
+    """Times as fast as one worker that all of them are, when they only count."""
+    names = list(client.scheduler_info(n_workers=-1)["workers"])
+    alone = client.run(count, workers=names[:1]).values()
+    return len(names) * sum(alone) / max(client.run(count).values())
+
+
 def compare(runs, rounds, jobs, overrides):
     experiment = load(find("zhang2023_table"), overrides)
     base = tomli_w.dumps(dump(experiment))
@@ -64,6 +83,7 @@ def compare(runs, rounds, jobs, overrides):
     prepare(base)
     warm(base, tasks[:1])
     rows = {"plain loop": [], "Dask, 1 worker": [], f"Dask, {jobs} workers": []}
+    counted = []
     with workers(1, None) as one, workers(jobs, None) as many:
         for client in (one, many):
             client.run(warm, base, tasks[:1])  # machine code is loaded off the clock
@@ -71,6 +91,7 @@ def compare(runs, rounds, jobs, overrides):
             rows["plain loop"].append(plain(base, tasks))
             rows["Dask, 1 worker"].append(through_dask(one, base, tasks))
             rows[f"Dask, {jobs} workers"].append(through_dask(many, base, tasks))
+            counted.append(scaling(many))
         peak = max(many.run(lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss).values())
     flown = experiment.duration_s * runs
     print(f"{runs} runs of {experiment.duration_s:g} s, median of {rounds} rounds")
@@ -86,6 +107,7 @@ def compare(runs, rounds, jobs, overrides):
     print(
         f"{jobs} workers are {speed_up:.2f} times as fast as one; a worker had {peak / 1024:.0f} MB"
     )
+    print(f"when they only count they are {min(counted):.2f} to {max(counted):.2f} times as fast")
 
 
 def grow(runs, jobs):

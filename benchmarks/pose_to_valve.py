@@ -1,12 +1,15 @@
 """Latency from a pose frame to the valve command on the serial line, beside bare UDP and pty.
 
-    python benchmarks/pose_to_valve.py [--seconds 20] [--vehicles 3] [--rate 100]
+    python benchmarks/pose_to_valve.py [--seconds 20] [--vehicles 3] [--rate 100] [--no-chain]
 
 One process per vehicle: NatNet in, estimator, tracker, allocation, modulation, gate, and a plan out
 as a frame on a pty behind which real firmware runs. Beside each a bare one: a datagram in, as many
 bytes out on a pty. They take turns, second by second, in one run; latency is from just before the
 datagram is sent to the first byte read at the far end of the pty. SCHED_FIFO where allowed. The
 first frames of a turn do not count: the board has tripped meanwhile, and is armed again.
+
+With `--no-chain` a vehicle flies its chain for 50 frames only, and then sends those plans again:
+what is left is what Python takes to read a frame and to send a plan.
 """
 
 import argparse
@@ -56,6 +59,7 @@ with realtime_priority(20):
 """
 CHAIN = """
 import select, sys
+from msgspec.structs import replace
 from firmware_interface.limits import limits_of
 from firmware_interface.serial_thrusters import SerialThrusters
 from testbed.config import find, load
@@ -67,12 +71,12 @@ from testbed.realtime.scheduling import realtime_priority, no_garbage_collection
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
 from testbed.rig.twin import warm_up
-name, port, command, words = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4:]
+name, port, command, flown, *words = sys.argv[1:]
 experiment = load(find("zhang2023_table"), words)
 warm_up(experiment)
 setup = experiment.vehicles[name]
 agent = make_agent(experiment, name)
-client = NatNetClient(MocapWire(command_port=command))
+client = NatNetClient(MocapWire(command_port=int(command)))
 clock = WallClock(monotonic_ns())
 poses = MocapPoses(client, MocapWire(), clock, name)
 goal = Reference(0.0, Pose(*setup.start), Twist(0, 0, 0), Accel(0, 0, 0))
@@ -85,7 +89,7 @@ with no_garbage_collection(), SerialThrusters(port, limits_of(setup.model), 0.0,
         heard += len(poses.samples())
     print("ready", flush=True)
     with realtime_priority(20):
-        armed = False
+        armed, plans, k = False, [], 0
         while True:
             ready, _, _ = select.select([client.fileno(), 0], [], [], 1.0)
             if 0 in ready:
@@ -98,8 +102,14 @@ with no_garbage_collection(), SerialThrusters(port, limits_of(setup.model), 0.0,
                 thrusters.trouble, armed = None, True
                 thrusters.arm()
             health = thrusters.health()
-            out = agent.step(Inputs(clock.now, True, samples, setpoint, {}, health))
-            thrusters.apply(out.command)
+            k, now = k + 1, clock.now
+            if flown == "always" or k <= int(flown):
+                plan = agent.step(Inputs(now, True, samples, setpoint, {}, health)).command
+                plans.append(plan)
+            else:
+                until = now + plans[0].valid_until - plans[0].issued_at
+                plan = replace(plans[k % len(plans)], seq=k, issued_at=now, valid_until=until)
+            thrusters.apply(plan)
             poses.review()
 """
 
@@ -137,8 +147,10 @@ def main():
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--vehicles", type=int, default=3)
     parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--no-chain", action="store_true")
     args = parser.parse_args()
     experiment = load(find("zhang2023_table"), WORDS)
+    flown = "50" if args.no_chain else "always"
     names = list(experiment.vehicles)[: args.vehicles]
     rng = np.random.default_rng(1)
     axes = Axes(MocapWire())
@@ -155,7 +167,7 @@ def main():
         )  # fmt: skip
         chains = [
             subprocess.Popen(
-                [sys.executable, "-c", CHAIN, n, str(Path(folder) / n), str(command), *WORDS],
+                [sys.executable, "-c", CHAIN, n, f"{folder}/{n}", str(command), flown, *WORDS],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             )
             for n in names
