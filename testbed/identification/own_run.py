@@ -1,4 +1,7 @@
-"""A run folder of this project as a motion log: estimated poses and the pulses that were sent."""
+"""A run folder of this project as a motion log: poses of the cameras and the pulses that were sent.
+
+The estimates in the log would not do: they follow the vehicle file with which they were made.
+"""
 
 from pathlib import Path
 
@@ -35,19 +38,19 @@ def read_run_log(folder: Path, body: str | None) -> MotionLog:
             found=body or "none of them chosen",
         )
     own = history.vehicles[body]
-    known = np.isfinite(own.pose).all(axis=1) & np.isfinite(own.at)
-    if known.sum() < FEWEST_POSES:
+    seen = own.seen[np.isfinite(own.seen).all(axis=1)]
+    _, first = np.unique(seen[:, 0], return_index=True)
+    if len(first) < FEWEST_POSES:
         raise LogRefusedError(
-            where=str(folder), expected=f"{FEWEST_POSES} poses", found=f"{known.sum()}"
+            where=str(folder), expected=f"{FEWEST_POSES} poses", found=f"{len(first)}"
         )
-    pose = own.pose[known].copy()
+    t, pose = seen[first, 0], seen[first, 1:].copy()
     pose[:, 2] = np.unwrap(pose[:, 2])
     ticks, jets = np.nonzero(own.on > 0.0)
     up = own.t[ticks] + own.offset[ticks, jets]
     order = np.argsort(up, kind="stable")
     down = up + own.on[ticks, jets]
     inputs = Valves(up[order], down[order], jets[order].astype(np.int64))
-    t = own.at[known]
     whole = np.ones(len(t), dtype=bool)
     return MotionLog(
         str(folder), digest(path), t, pose, whole, inputs, gaps(t), _flown(path.parent, body)

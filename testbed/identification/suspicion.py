@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_twin.schedule import Schedule
 from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError
 from testbed.identification.model import VehicleModel
@@ -98,11 +99,7 @@ class _Parts:
         schedule, plant, _ = model.build(p, log.inputs)
         self.windows = tiled(log, TILE).rows
         self.grid = np.arange(log.t[0] - 1.0, log.t[-1] + GRID, GRID)
-        k = np.searchsorted(schedule.start, self.grid, side="right") - 1
-        inside = (k >= 0) & (k < len(schedule.value))
-        k = np.clip(k, 0, len(schedule.value) - 1)
-        after = (self.grid - schedule.start[k])[:, None]
-        wrench = np.where(inside[:, None], schedule.value[k] + after * schedule.slope[k], 0.0)
+        wrench = _means(schedule, self.grid)
         self.force = (wrench[:, 0] + 1j * wrench[:, 1]) / plant.mass[0]
         com = plant.com[0]
         self.spin = (wrench[:, 2] - com[0] * wrench[:, 1] + com[1] * wrench[:, 0]) / plant.inertia
@@ -281,6 +278,18 @@ def _plausible(log: MotionLog) -> Iterator[Suspicion]:
     if len(step) and float(np.quantile(step / dt, 0.9)) > 6.0:
         text = f"{log.where}: the heading turns faster than a turn per second: degrees read as rad?"
         yield Suspicion("unit-angle", text)
+
+
+def _means(schedule: Schedule, grid: Array) -> Array:
+    """Mean wrenches over the cells around the points of a grid; a pulse may be shorter than one."""
+    start, value, slope = schedule
+    width = np.diff(start)[:, None]
+    impulse = np.zeros((len(start), value.shape[1]))
+    np.cumsum(width * (value + 0.5 * width * slope), axis=0, out=impulse[1:])
+    edges = np.clip(np.append(grid - 0.5 * GRID, grid[-1] + 0.5 * GRID), start[0], start[-1])
+    k = np.minimum(np.searchsorted(start, edges, side="right") - 1, len(value) - 1)
+    after = (edges - start[k])[:, None]
+    return np.diff(impulse[k] + after * (value[k] + 0.5 * after * slope[k]), axis=0) / GRID
 
 
 def _twice(a: Array) -> Array:

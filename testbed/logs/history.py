@@ -48,6 +48,7 @@ class VehicleHistory(Struct, frozen=True):
     at: Array  # (n,) time of estimate and reference: when the plan takes effect [s]
     pose: Array  # (n, 3) estimate [m, m, rad]
     twist: Array  # (n, 3) estimate [m/s, m/s, rad/s]
+    seen: Array  # (s, 4) poses of the cameras as they arrived: captured at, x, y, theta
     reference: Array  # (n, 3) [m, m, rad]
     force_asked: Array  # (n, 2) force in W commanded by a law in wrench mode [N]
     commanded_wrench: Array  # (n, 3) mean over the period, in B [N, N, N m]
@@ -169,6 +170,7 @@ def _vehicle(
         at=state["t"],
         pose=_numbers(state["pose"]),
         twist=_numbers(state["twist"]),
+        seen=_seen(ticks),
         reference=np.where(flies[:, None], _numbers(out["reference"]["pose"]), math.nan),
         force_asked=np.column_stack((asked, asked_y)),
         commanded_wrench=_numbers(out["commanded_wrench"]),
@@ -184,6 +186,12 @@ def _vehicle(
         wires=_wires(log.rows.get(f"/{name}/pace"), paces),
         true=true if len(true) else np.zeros((0, 6)),
     )  # fmt: skip
+
+
+def _seen(ticks: Any) -> Array:
+    """The column `VehicleHistory.seen`."""
+    room = ticks["samples"].shape[1]
+    return _numbers(ticks["samples"][np.arange(room) < ticks["samples_valid"][:, None]])
 
 
 def _changes(log: Columns, name: str, ticks: Any, reader: TypedRows) -> Iterator[Tick]:

@@ -24,7 +24,7 @@ def still(x: float, y: float) -> VehicleHistory:
         for name in ("reference", "commanded_wrench", "realised_wrench")
     }
     return VehicleHistory(
-        t=T, at=T, pose=np.tile([x, y, 0.0], (n, 1)), twist=np.zeros((n, 3)),
+        t=T, at=T, pose=np.tile([x, y, 0.0], (n, 1)), twist=np.zeros((n, 3)), seen=np.zeros((0, 4)),
         force_asked=np.full((n, 2), math.nan), on=np.zeros((n, 8)), offset=np.zeros((n, 8)),
         supply=np.full(n, 5e5), tank=np.full(n, 2e7), pose_age=np.full(n, 0.03),
         filtered=np.zeros((n, 2)), events=[], edges=np.zeros((0, 2)), wires=np.zeros((0, 5)),
