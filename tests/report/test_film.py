@@ -26,7 +26,8 @@ def history() -> History:
     on[50:, 0] = 0.1
     pose = np.column_stack((0.2 * T - 1.0, np.zeros(n), np.zeros(n)))
     vehicle = VehicleHistory(
-        t=T, at=T, pose=pose, twist=np.zeros((n, 3)), seen=np.zeros((0, 4)), reference=none, force_asked=none[:, :2],
+        t=T, at=T, pose=pose, twist=np.zeros((n, 3)), seen=np.zeros((0, 4)),
+        reference=none, force_asked=none[:, :2],
         commanded_wrench=none, realised_wrench=none, on=on, offset=np.zeros((n, 8)),
         supply=np.zeros(n), tank=np.zeros(n), pose_age=np.zeros(n), filtered=np.zeros((n, 2)),
         events=[], edges=np.zeros((0, 2)), wires=np.zeros((0, 5)), true=np.zeros((0, 6)),

@@ -20,7 +20,8 @@ def moving(t, on=None, edges=None) -> VehicleHistory:
     pose = np.column_stack((0.1 * t, np.zeros(n), np.angle(np.exp(1j * t))))
     none = np.full((n, 3), np.nan)
     return VehicleHistory(
-        t=t, at=t, pose=pose, twist=np.zeros((n, 3)), seen=np.zeros((0, 4)), reference=none, force_asked=none[:, :2],
+        t=t, at=t, pose=pose, twist=np.zeros((n, 3)), seen=np.zeros((0, 4)),
+        reference=none, force_asked=none[:, :2],
         commanded_wrench=none, realised_wrench=none,
         on=np.zeros((n, 8)) if on is None else on, offset=np.zeros((n, 8)),
         supply=np.zeros(n), tank=np.zeros(n), pose_age=np.zeros(n), filtered=np.zeros((n, 2)),
