@@ -13,6 +13,8 @@ was sure of a cause that began in flight, causes that were there before are refu
 
 from typing import Any
 
+import numpy as np
+
 from testbed.core.compiled import compiled, keep
 from testbed.core.scratch import scratch
 from testbed.flight import hypotheses
@@ -40,6 +42,7 @@ KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
 NEVER_LATER = (THRUST, MASS, TURNED)  # causes that are tested since the start only
 TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
 LEAST_SUMS = 10  # before a heading is believed to be off: unequal jets look like it for a while
+ROUGHLY = 0.25  # sizes of thrust or mass that differ by this share are the same
 BELIEVED = 9.0  # weight of the spread at the start [residuals]
 
 MEMORY = record(
@@ -138,6 +141,44 @@ def surest(far, m, least, kind):
         certain(far.gains, far.sizes, least, better(far.gains, kind)),
         certain_always(far, m, least, better(m.gains, kind)),
     )
+
+
+@compiled
+def confirms(innovations, found, kind):
+    """Whether the innovations find the same size of a cause, within their own certainty.
+
+    A controller answers the noise of the estimated velocity, and the estimate then comes back by
+    itself: in every second of a quiet hold the push seems to do more than the file says. The
+    windows hear that estimate. The innovations do not depend on what was done before.
+
+    Args:
+        innovations: innovations.MEMORY.
+        found: VERDICT of a window.
+        kind: see hypotheses.py.
+    """
+    gain, size = innovations.gains[kind], innovations.sizes[kind]
+    if gain < WORTH or size * found.sizes[kind] < 0.0:
+        return False
+    sigma = abs(size) / np.sqrt(2.0 * gain)
+    return abs(found.sizes[kind] - size) < max(3.0 * sigma, ROUGHLY * abs(found.sizes[kind]))
+
+
+@compiled
+def wrong_scale(suspected, m, least):
+    """Sigmas of a wrong thrust or mass that the innovations confirm, as of `surest`.
+
+    Args:
+        suspected: jet_faults.MEMORY.
+        m: MEMORY.
+        least: smallest size of each kind that is a fault.
+    """
+    far, sure = suspected.far, 0.0
+    recent, always = better(far.gains, THRUST), better(m.gains, THRUST)
+    if confirms(suspected.innovations, far, recent):
+        sure = certain(far.gains, far.sizes, least, recent)
+    if confirms(suspected.innovations, m, always):
+        sure = max(sure, certain_always(far, m, least, always))
+    return sure
 
 
 @compiled

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import testbed
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -17,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
         "frame shift,frame creep,heading jump",
         "frozen,4 Hz",
         "heading off,late from",
+        "thrust x1.4,mass x0.5",
     ],
 )
 def test_faults_of_a_lab_are_named_right(only):
@@ -26,3 +29,18 @@ def test_faults_of_a_lab_are_named_right(only):
         check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("seed", "words"),
+    [
+        (101, ["table.mocap.noise=0.001"]),
+        (101, ["table.mocap.noise=0.002"]),
+        (2, ["flight.jet_period_s=0.5"]),
+    ],
+)
+def test_a_quiet_hold_does_not_look_like_a_wrong_mass(seed, words):
+    """Its pushes answer the noise of the estimate, which then comes back by itself."""
+    run = testbed.fly(testbed.load("hold", "criteria={}", *words, seed=seed))
+    assert run.metrics.fault is None
+    assert run.metrics.duration_s == 120.0
