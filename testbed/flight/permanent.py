@@ -183,10 +183,19 @@ def wrong_scale(suspected, m, least):
 
 @compiled
 def lateness(near, m, least):
-    """Sigmas of late poses by the short window, or by the whole flight; `near` has the long one."""
-    return max(
-        certain(near.gains, near.sizes, least, LATE), certain_always(near.far, m, least, LATE)
-    )
+    """Sigmas of late poses by the short window, or by the whole flight.
+
+    The windows hear the estimate, see `confirms`; so the innovations must find a delay, too.
+
+    Args:
+        near: jet_faults.MEMORY.
+        m: MEMORY.
+        least: smallest size of each kind that is a fault.
+    """
+    recent = certain(near.gains, near.sizes, least, LATE)
+    if near.innovations.gains[LATE] < WORTH:
+        return recent
+    return max(recent, certain_always(near.far, m, least, LATE))
 
 
 def verdict_of(suspected: Any, m: Any, kind: int) -> Any:

@@ -81,7 +81,23 @@ def test_late_poses_are_found_when_they_are_late_enough(flight, looks, found):
         flight.second(DELAYED, looks)  # of 0.1 s
     assert flight.m.gains[LATE] > 100.0
     assert flight.m.sizes[LATE] == pytest.approx(0.1 * looks, rel=0.2)
+    assert flight.lateness == 0.0  # the innovations have not heard of it
+    flight.memory.fixed[0].jet_faults.innovations.gains[LATE] = 2.0 * WORTH
     assert bool(flight.lateness) == found
+
+
+@pytest.mark.parametrize(
+    ("gain", "size", "agrees"),
+    [(200.0, -0.5, True), (200.0, -0.4, True), (200.0, -0.2, False), (5.0, -0.5, False),
+     (10.0, -0.3, True), (200.0, 0.5, False)],
+)  # fmt: skip
+def test_innovations_confirm_a_thrust_of_half(flight, gain, size, agrees):
+    for _ in range(60):
+        flight.second(ALL, -0.5)
+    suspected = flight.memory.fixed[0].jet_faults
+    suspected.innovations.gains[THRUST], suspected.innovations.sizes[THRUST] = gain, size
+    found = permanent.wrong_scale(suspected, flight.m, flight.p.least)
+    assert found == (flight.sigmas(THRUST) if agrees else 0.0)
 
 
 def test_the_estimator_settles_in_the_first_second(flight):
