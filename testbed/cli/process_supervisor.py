@@ -13,7 +13,9 @@ that the child started and left behind.
     the same while reading a law's    2; the file is refused; no run folder
       file
 
-Signals to the parent are forwarded, unless the child has received them too.
+Signals to the parent are forwarded, unless the child has received them too. Until the child counts
+signals (`run/interrupt.py`), each of them kills it at once: Python drops the exception of a Ctrl-C
+that comes in a callback of the compiler, and prints one that comes during an import.
 """
 
 import ctypes
@@ -53,6 +55,8 @@ def supervised() -> int | None:
     parent = os.getpid()
     child = os.fork()
     if child == 0:
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else ignored, as by `&`
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
         _begin(libc, parent)
         attach(heartbeat, parent)
         return None
@@ -111,7 +115,8 @@ class ProcessSupervisor:
         info = signal.sigtimedwait(HEARD, LOOK_S)
         if info is not None and info.si_signo in STOPS:
             self._asked = self._asked or info.si_signo
-            if (info.si_signo, info.si_code) != (signal.SIGINT, SENT_BY_KERNEL):
+            sent_to_both = (info.si_signo, info.si_code) == (signal.SIGINT, SENT_BY_KERNEL)
+            if not (sent_to_both and self._heartbeat.folder):  # early: there was no child perhaps
                 self._to_hand_on = info.si_signo, self._heartbeat.signals
                 signal.sigtimedwait([signal.SIGCHLD], LOOK_S)
         self._reap()
@@ -188,7 +193,7 @@ class ProcessSupervisor:
 
     def _finish(self, fault: str) -> int:
         heartbeat, code = self._heartbeat, os.waitstatus_to_exitcode(self._ended or 0)
-        if heartbeat.inside is None and self._asked and not heartbeat.folder:
+        if self._asked and not heartbeat.folder:
             return INTERRUPTED
         if heartbeat.phase is RunPhase.READING and heartbeat.inside is not None:
             say(f"error: the file of the law\n  expected  a readable law\n  found     {fault}")

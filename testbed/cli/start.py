@@ -10,12 +10,21 @@ from contextlib import suppress
 from typing import NoReturn
 
 SUPERVISED = ("run", "check")
+INTERRUPTED = 130
 UNFINISHED = (2, 70)  # exit codes of a run that could not write its files, or of an internal error
 PRIORITY = 90  # above hosts, vehicles and the twin
 
 
 def entry() -> None:
-    """Run `testbed`; a bare `testbed stop` gets priority over all flights on this machine."""
+    """Run `testbed`; a Ctrl-C while modules are imported ends it without a traceback."""
+    try:
+        _run()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+def _run() -> None:
+    """Run a verb; a bare `testbed stop` gets priority over all flights on this machine."""
     if sys.argv[1:] == ["stop"]:
         from testbed.net.stop import stop_everything
         from testbed.realtime.scheduling import realtime_priority

@@ -16,6 +16,7 @@ from testbed.realtime.law_watch import shorten_limit
 
 AGAIN_S = 0.01
 CALLBACKS = "_raw_object_cache"  # functions that LLVM calls when it has compiled
+EVENTS = "numba/core/event.py"  # its listeners run where an exception may be dropped, too
 
 
 class Interrupt:
@@ -58,7 +59,8 @@ class Interrupt:
     def caught(self) -> Iterator[None]:
         """Count signals in this context, then restore the previous handlers.
 
-        SIGHUP is counted only if it would end the command.
+        A Ctrl-C that killed the process before raises KeyboardInterrupt afterwards: the files are
+        there then, and the exit code must be. SIGHUP is counted only if it would end the command.
         """
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
         numbers = [signal.SIGINT, signal.SIGTERM]
@@ -68,6 +70,8 @@ class Interrupt:
         try:
             yield
         finally:
+            if before[signal.SIGINT] is signal.SIG_DFL:
+                before[signal.SIGINT] = signal.default_int_handler
             for number, handler in before.items():
                 signal.signal(number, handler)
 
@@ -97,9 +101,10 @@ def held_back() -> Iterator[None]:
 
 
 def _is_callback(frame: FrameType | None) -> bool:
-    """Whether a function that LLVM calls is running."""
+    """Whether a function that the compiler calls is running."""
     while frame is not None:
-        if frame.f_code.co_name.startswith(CALLBACKS):
+        code = frame.f_code
+        if code.co_name.startswith(CALLBACKS) or code.co_filename.endswith(EVENTS):
             return True
         frame = frame.f_back
     return False

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from testbed.cli import run
@@ -117,6 +118,58 @@ def test_while_the_input_is_read(monkeypatch, here):
     monkeypatch.setattr(run, "load", interrupted)
     assert exit_code(monkeypatch, "run", "hold", "--out", "out") == 130
     assert list(here.iterdir()) == []
+
+
+IN_A_CALLBACK = """\
+import ctypes
+import time
+
+@ctypes.CFUNCTYPE(None)
+def called_by_a_compiler():
+    open("there", "w").close()
+    time.sleep(60)
+
+called_by_a_compiler()
+
+class Mine:
+    def force(self, own, neighbours, world, t):
+        return [0.0, 0.0]
+"""
+
+
+def test_in_a_callback_while_the_input_is_read(start, here):
+    """Python drops an exception there, so the run would be flown."""
+    Path("my_law.py").write_text(IN_A_CALLBACK)
+    law = "controller={type='python',law='my_law.py:Mine'}"
+    process = start("run", "hold", law, "duration_s=1", "--out", "out")
+    wait_for(process, Path("there").exists)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert (process.returncode, stdout, stderr) == (130, "", "")
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("verb", ["run", "check"])
+def test_while_modules_are_imported(start, here, verb):
+    process = start(verb, "hold")
+    looks = psutil.Process(process.pid)
+    wait_for(process, lambda: len(looks.children()) > 0)
+    looks.children()[0].send_signal(signal.SIGINT)  # as a terminal does, to both
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert (process.returncode, stdout, stderr) == (130, "", "")
+    assert list(here.iterdir()) == []
+
+
+def test_after_a_run_a_signal_does_not_kill_its_process(stray):
+    """Its files are there, and its exit code has to be reported."""
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        with Interrupt().caught():
+            pass
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_handlers_are_put_back(monkeypatch):
