@@ -123,12 +123,16 @@ def run(
       testbed run zhang2023_table vehicles.sat1.start=[1.2,-1.4,0.0]
       testbed run hold 'vehicles.*.model.mass=18.0' --seed 7 --out runs/heavy
     """  # noqa: D301  (\b is a backspace: click does not rewrap the lines after it)
-    from testbed.cli.run import run_experiment
+    from testbed.net.flight_note import noted
+    from testbed.realtime.heartbeat import process_to_end
 
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
-    context.exit(
-        run_experiment(
+    name, pid = Path(experiment).stem, process_to_end()
+    with noted("", "", name=name, pid=pid, say=lambda text: None, rig=rig):
+        from testbed.cli.run import run_experiment  # slow, and `testbed stop` must find the run
+
+        code = run_experiment(
             experiment,
             overrides,
             out,
@@ -143,7 +147,7 @@ def run(
             port=port,
             console=console,
         )
-    )
+    context.exit(code)
 
 
 @main.command()

@@ -99,6 +99,10 @@ class ProcessSupervisor:
             kill(pid)
         if code is not None:
             return code
+        if self._heartbeat.rig in ("", "twin") or self._heartbeat.phase < RunPhase.FLYING:
+            from testbed.net.flight_note import withdraw
+
+            withdraw(self._child)  # that of a killed host leads to its vehicles
         if sys.stderr.isatty():
             sys.stderr.write(SHOW_CURSOR)
         return self._finish(fault or self._words())

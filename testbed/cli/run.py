@@ -2,13 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import (
-    AbstractContextManager,
-    ExitStack,
-    contextmanager,
-    nullcontext,
-    redirect_stdout,
-)
+from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -83,8 +77,9 @@ def run_experiment(
             found = f"--bind {bind}" if bind else f"--port {port}"
             expected = "--web or --view, which it belongs to"
             raise ConfigError("command line", "", expected, found)
-        with interrupt.caught(), watched(experiment), ExitStack() as stack:
+        with interrupt.caught(), watched(experiment), ExitStack() as stack, ExitStack() as note:
             folder = new_folder(out, experiment.name)
+            note.enter_context(noted_here(rig, experiment, folder))
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             own = heartbeat()
             own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
@@ -105,10 +100,11 @@ def run_experiment(
             # without a terminal, a flight in real time prints status lines
             line_s = None if rig == "twin" and speed is None else LINE_S
             operator.live = LiveTable(experiment, errors, line_s)
-            with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment, folder):
+            with redirect_stdout(sys.stderr):
                 metrics = fly_and_judge(
                     experiment, folder, interrupt, make, speed, operator.live, utc_ns()
                 )
+            note.close()
             experiment = live.experiment if live is not None else experiment
             write_metrics(folder, metrics)
             if as_json:
@@ -149,14 +145,19 @@ def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
     return local(experiment)
 
 
-def noted_on_twin(rig: str, experiment: Experiment, folder: Path) -> AbstractContextManager[None]:
-    """Registers the flight for `testbed stop`; a host on bench or table does that itself."""
-    if rig != "twin":
-        return nullcontext()
+def noted_here(rig: str, experiment: Experiment, folder: Path) -> AbstractContextManager[None]:
+    """Registers the run for `testbed stop`; a host on bench or table replaces the note by its own.
+
+    That one also warns if there is no place for it.
+    """
+
+    def say(text: str) -> None:
+        if rig == "twin":
+            errors.print(text, style="yellow", markup=False, soft_wrap=True)
+
     return noted(
         "", "", vehicles=list(experiment.vehicles), name=experiment.name, pid=process_to_end(),
-        say=lambda text: errors.print(text, style="yellow", markup=False, soft_wrap=True),
-        folder=folder,
+        say=say, folder=folder, rig=rig,
     )  # fmt: skip
 
 

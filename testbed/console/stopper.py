@@ -120,7 +120,7 @@ class StopSender:
             end_twin(note, flight)
         except OSError as error:
             return {"lines": [f"{flight.name}: not asked: {error}"], "sent": False}
-        return {"lines": [f"{flight.name} on the twin: stops"], "sent": True}
+        return {"lines": [f"{flight.name} on the {flight.rig}: stops"], "sent": True}
 
     def _stop_wires(self, flight: StoppableFlight) -> dict[str, Any]:
         heard, stop, ended = set[str](), secrets.token_hex(8), dict[str, str]()

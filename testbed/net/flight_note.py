@@ -1,7 +1,8 @@
 """Notes that flights leave on their machine, so that `testbed stop` finds them.
 
 The note of a host has its endpoint and its key folder, so the reader needs no keys of their own.
-The note of a flight on the twin has its process id. No slow modules such as numpy are imported.
+The note of a flight on the twin, and of a run that has no host yet, has its process id. No slow
+modules such as numpy are imported.
 """
 
 import json
@@ -21,7 +22,7 @@ from testbed.files import write_atomic
 class StoppableFlight(NamedTuple):
     """A flight that can be stopped."""
 
-    endpoint: str  # of its host; empty: a flight on the twin
+    endpoint: str  # of its host; empty: a flight on the twin, or a run that starts
     lab: str = "lab"
     keys: str = ""  # key folder; empty: no keys
     vehicles: Sequence[str] = ()  # empty: ask the host
@@ -29,6 +30,10 @@ class StoppableFlight(NamedTuple):
     pid: int = 0  # 0: not known
     started: str = ""  # start time of the process in /proc: process ids are reused
     folder: str = ""  # run folder; empty: not known
+    rig: str = "twin"  # without an endpoint
+
+
+KINDS = [str, str, str, list, str, int, str, str, str]
 
 
 class NoteError(TestbedError):
@@ -78,22 +83,26 @@ def complain(text: str) -> None:
 def noted(
     endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
     pid: int = 0, say: Callable[[str], None] = complain, folder: Path | None = None,
+    rig: str = "twin",
 ) -> Iterator[None]:  # fmt: skip
-    """Keep a note of a flight while the context is open.
+    """Keep a note of a flight while the context is open; a process has one, the newest.
 
     Args:
-        endpoint: where its host listens; empty: it is flown on the twin.
+        endpoint: where its host listens; empty: it is flown on the twin, or a run that starts.
         lab, keys: of that host.
         vehicles: the flight's vehicles.
         name: of the experiment.
         pid: process that ends the flight; 0: this one.
         say: called with a warning if the note cannot be written; the flight goes on.
         folder: run folder, by which an operator's page finds the flight.
+        rig: of a note without an endpoint.
     """
     pid = pid or os.getpid()
     keys = str(Path(keys).absolute()) if keys else ""
     where = "" if folder is None else str(folder.absolute())
-    flight = StoppableFlight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where)
+    flight = StoppableFlight(
+        endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where, rig
+    )
     try:
         note = _leave(json.dumps(flight._asdict()).encode())
     except (OSError, NoteError) as error:
@@ -106,6 +115,13 @@ def noted(
         if note is not None:
             with suppress(OSError):
                 note.unlink()
+
+
+def withdraw(pid: int) -> None:
+    """Remove the note of a process that was killed before it could."""
+    for folder, _ in _folders()[: len(_bases(os.getuid()))]:
+        with suppress(OSError):
+            (folder / f"{pid}.json").unlink()
 
 
 def door_beside(note: Path) -> Path:
@@ -174,5 +190,5 @@ def known_flights() -> Iterator[tuple[Path, StoppableFlight]]:
         for note in sorted(folder.glob("*.json")):
             with suppress(OSError, ValueError, TypeError, RecursionError):
                 flight = StoppableFlight(**json.loads(note.read_text()))
-                if [type(value) for value in flight] == [str, str, str, list, str, int, str, str]:
+                if [type(value) for value in flight] == KINDS:
                     yield note, flight

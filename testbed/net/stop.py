@@ -34,7 +34,7 @@ OPEN_S = 1.0  # time for a host's handshake
 ANSWER_S = 0.5  # time for vehicles to answer
 DIRECT_S = 0.3  # time for vehicles to answer without their host
 LATE_S = 2.0  # further time for vehicles that have not answered: busy computers answer late
-END_S = 2.0  # time for a flight on the twin to end
+END_S = 4.0  # time for a flight on the twin, or a run that starts, to end
 LOOK_S = 0.02
 DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
 LAST_RESORT = """\
@@ -91,7 +91,8 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
 def _stop_here() -> Iterator[bool]:
     """Stop every flight on this machine, and a host at the default endpoint without a note."""
     tried, killed = set(), []
-    for note, flight in list(known_flights()):
+    for note, flight in sorted(known_flights(), key=lambda one: not one[1].endpoint):
+        # hosts first: the others are waited for
         tried.add(flight.endpoint)
         if not runs(flight):
             killed.append((note, flight))
@@ -122,7 +123,7 @@ def _listens(endpoint: str) -> bool:
 
 
 def end_twin(note: Path, flight: StoppableFlight) -> None:
-    """Ask the process of a flight on the twin to end it.
+    """Ask the process of a flight on the twin, or of a run that starts, to end it.
 
     Raises:
         OSError: it belongs to another user.
@@ -138,7 +139,7 @@ def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
     try:
         end_twin(note, flight)
     except OSError as error:
-        complain(f"{flight.name} on the twin, process {flight.pid}: not asked: {error}")
+        complain(f"{flight.name} on the {flight.rig}, process {flight.pid}: not asked: {error}")
         return False
     end = monotonic() + END_S
     while over := note.exists() and runs(flight):
@@ -146,7 +147,7 @@ def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
             break
         threading.Event().wait(LOOK_S)
     words = "did not answer" if over else "ended"
-    sys.stdout.write(f"{flight.name} on the twin, process {flight.pid}: {words}\n")
+    sys.stdout.write(f"{flight.name} on the {flight.rig}, process {flight.pid}: {words}\n")
     return not over
 
 

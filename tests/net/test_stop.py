@@ -13,13 +13,15 @@ from pathlib import Path
 import pytest
 
 from ports import free_port
+from testbed.cli import run as verb
 from testbed.core.lab import Network
 from testbed.net import flight_note
 from testbed.net import stop as stopping
-from testbed.net.flight_note import StoppableFlight, noted
+from testbed.net.flight_note import StoppableFlight, known_flights, noted
 from testbed.net.keys import Keys
 from testbed.net.session import answer_to, listen
 from testbed.net.stop import FAILED, OK, stop_everything
+from testbed.run.folder import FolderError
 
 KEYS = Keys("lab")
 WAITS = "import sys; print(flush=True); sys.stdin.read()"
@@ -304,3 +306,65 @@ def test_vehicles_that_answer_late_are_asked_again(monkeypatch, capsys):
     assert [names for names, _ in asked] == [[], ["sat2"], ["sat2"]]
     assert asked[0][1] == asked[1][1]  # the same stop: it counts once
     assert "sat2: stops" in capsys.readouterr().out
+
+
+# Runs that start
+
+
+READS_LONG = """\
+import time
+open("there", "w").close()
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("rig", ["twin", "bench"])
+def test_a_run_that_starts_is_stopped(here, tmp_path, capsys, rig):
+    """It still reads its law; no flight follows, and nothing is left of it."""
+    (tmp_path / "my_law.py").write_text(READS_LONG)
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    law = "controller={type='python',law='my_law.py:Mine'}"
+    run = subprocess.Popen(
+        [sys.executable, "-m", "testbed", "run", "hold", law, "--rig", rig, "--out", "out"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env, cwd=tmp_path,
+    )  # fmt: skip
+    try:
+        while not (tmp_path / "there").exists():
+            assert run.poll() is None, run.communicate()
+            threading.Event().wait(0.05)
+        assert stop_everything(None, "lab") == OK
+        said, errors = run.communicate(timeout=60)
+    finally:
+        run.kill()
+    assert (run.returncode, said, errors) == (130, "", "")
+    assert capsys.readouterr().out == f"hold on the {rig}, process {run.pid}: ended\n"
+    assert not (tmp_path / "out").exists()
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize("rig", ["twin", "bench"])
+def test_a_run_with_a_folder_has_a_note_that_names_it(here, tmp_path, monkeypatch, rig):
+    """The operator's page looks for the flight by its folder."""
+    notes = []
+
+    def seen(*args):
+        notes.extend(flight for _, flight in known_flights())
+        raise FolderError("seen")
+
+    monkeypatch.setattr(verb, "write_config", seen)
+    assert verb.run_experiment("hold", [], tmp_path / "out", False, rig) == 2
+    assert [(one.rig, one.folder, one.endpoint) for one in notes] == [
+        (rig, str(tmp_path / "out"), "")
+    ]
+    assert list(here.iterdir()) == []
+
+
+def test_hosts_are_stopped_before_what_is_waited_for(here, monkeypatch):
+    twin, host = StoppableFlight("", name="hold"), StoppableFlight("tcp/127.0.0.1:1")
+    asked = []
+    monkeypatch.setattr(stopping, "known_flights", lambda: [(here / "0", twin), (here / "1", host)])
+    monkeypatch.setattr(stopping, "_stop_wires", lambda flight: asked.append(flight) or True)
+    monkeypatch.setattr(stopping, "_stop_twin", lambda note, flight: asked.append(flight) or True)
+    monkeypatch.setattr(stopping, "_stop_directly", lambda *args: set())
+    assert list(stopping._stop_here()) == [True, True]
+    assert asked == [host, twin]
