@@ -2,7 +2,8 @@
 
 The vehicle draws a number, its ticket, and gives it to the host. An order to start without the
 ticket is refused, from any sender. The ticket is sent again every second, because a host that
-was restarted does not know it. A vehicle that ends before its flight sends the reason.
+was restarted does not know it. A vehicle that ends before its flight, by an error or by a
+stop, sends the reason.
 """
 
 import secrets
@@ -34,6 +35,7 @@ class Leave(Struct, frozen=True, tag=True):
     """A vehicle has ended before its flight."""
 
     reason: str
+    by_operator: bool = False  # by a stop, which the host may not have heard
 
 
 _decode = msgspec.msgpack.Decoder(Enrol | Leave).decode
@@ -45,6 +47,7 @@ class Roll:
     def __init__(self, session: zenoh.Session, keys: Keys, names: Iterable[str]) -> None:
         self.tickets: dict[str, int] = {}  # by vehicle
         self.left: dict[str, str] = {}  # vehicles that have left, and why
+        self.stopped = False  # an operator's stop has reached a vehicle
         self._kept = [
             answer_to(session, keys.of(name, "roll"), partial(self._hear, name)) for name in names
         ]
@@ -59,7 +62,8 @@ class Roll:
             case Enrol(ticket):
                 self.tickets[name] = ticket
                 self.left.pop(name, None)
-            case Leave(reason):
+            case Leave(reason, by_operator):
+                self.stopped = self.stopped or by_operator
                 self.tickets.pop(name, None)
                 self.left[name] = reason[:LONGEST]
         return b"heard"
@@ -99,8 +103,14 @@ def last_words(session: zenoh.Session, keys: Keys, name: str) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        reason = str(error) or "interrupted"
-        with suppress(NetworkError):
-            words = msgspec.msgpack.encode(Leave(reason[:LONGEST]))
-            ask(session, keys.of(name, "roll"), words, LEAVE_S)
+        farewell(session, keys, name, str(error) or "interrupted")
         raise
+
+
+def farewell(
+    session: zenoh.Session, keys: Keys, name: str, reason: str, *, by_operator: bool = False
+) -> None:
+    """Tell the host why this vehicle ends before its flight."""
+    with suppress(NetworkError):
+        words = msgspec.msgpack.encode(Leave(reason[:LONGEST], by_operator))
+        ask(session, keys.of(name, "roll"), words, LEAVE_S)

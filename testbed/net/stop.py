@@ -36,6 +36,7 @@ DIRECT_S = 0.3  # time for vehicles to answer without their host
 LATE_S = 2.0  # further time for vehicles that have not answered: busy computers answer late
 END_S = 4.0  # time for a flight on the twin, or a run that starts, to end
 LOOK_S = 0.02
+NOT_STARTED = "not started"  # instead of a vehicle's bearing air: its flight was called off
 DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
 LAST_RESORT = """\
 vehicles without a host brake and shut by themselves after one second
@@ -233,7 +234,7 @@ def _report(
         sys.stdout.write("  stop again to shut valves and air at once\n")
     if not shut and not names:
         sys.stdout.write("  no vehicle answered\n")
-    stand = shut | {name for name, air in ended.items() if air == "off"}
+    stand = shut | {name for name, air in ended.items() if air in ("off", NOT_STARTED)}
     return bool(stand) and stand >= names
 
 
@@ -247,11 +248,16 @@ def answer_of(name: str, shut: Container[str], ended: Mapping[str, str]) -> str:
     """
     if name in shut:
         return "stops"
+    if ended.get(name) == NOT_STARTED:
+        return "does not start"
     return f"had ended, bearing air {ended[name]}" if name in ended else "did not answer"
 
 
 def ended_vehicles(session: "zenoh.Session", keys: "Keys") -> dict[str, str]:
-    """Bearing air, "off" or "on", of the vehicles that have ended their flight, by their host."""
+    """Bearing air, "off" or "on", of the vehicles that have ended their flight, by their host.
+
+    NOT_STARTED: the host has called their flight off.
+    """
     from testbed.net.session import answers
 
     with suppress(ValueError, AttributeError, IndexError, RecursionError):

@@ -92,5 +92,6 @@ def test_a_vehicle_that_ends_tells_its_host_why(host, endpoint):
             raise OSError("the board is unplugged")
         assert roll.tickets == {}
         assert roll.left == {"sat1": "the board is unplugged"}
+        assert not roll.stopped
         Enrolment(vehicle, KEYS, "sat1")  # it was started again
         assert roll.left == {}

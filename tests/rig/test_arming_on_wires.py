@@ -13,13 +13,16 @@ from msgspec.structs import replace
 from testbed.cli.exit_code import BAD_INPUT, FAULT, NOT_STARTED
 from testbed.cli.main import main
 from testbed.config import ConfigError, find, load
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.vehicle import Gauges
 from testbed.logs.feed import LogFeed, SeenPhase
 from testbed.logs.log_reader import LogReader
 from testbed.net.commands import Refused, Start
+from testbed.net.direct_stop import stop_directly
 from testbed.net.keys import Keys
-from testbed.net.roll_call import Enrolment, last_words
+from testbed.net.roll_call import Enrolment, farewell, last_words
 from testbed.net.session import NetworkError, Publisher, dial
+from testbed.net.stop import stop_everything
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.fault_latch import KILLED, FaultLatch
 from testbed.rig.observers import NullObserver
@@ -27,6 +30,7 @@ from testbed.rig.twin import warm_up
 from testbed.rig.wired.host import WireRig, loopback
 from testbed.rig.wired.preflight import order
 
+STOPPED = FaultReport(FaultId.STOPPED, "stopped by the operator")
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -158,6 +162,45 @@ def test_on_the_table_it_says_whom_it_waits_for():
     ending = rig.fly(None, stopped=lambda: bool(said))
     assert said == ["waiting for sat1; start `testbed agent` on each computer"]
     assert (ending.t, ending.fault) == (0.0, None)
+
+
+def test_an_operator_stops_a_host_that_waits_for_its_vehicles(capsys):
+    experiment, codes = loopback(load(find("hold")), Path()), []
+    endpoint = experiment.table.lab.network.endpoint
+    rig = WireRig(
+        experiment, bench=False, say=lambda _: codes.append(stop_everything(endpoint, "lab"))
+    )
+    ending = rig.fly(NullObserver())
+    assert (ending.t, ending.fault) == (0.0, STOPPED)
+    assert codes == [0]
+    assert capsys.readouterr().out == f"{endpoint}\n  sat1: does not start\n"
+
+
+def test_a_stop_that_has_reached_a_vehicle_only_stops_its_host():
+    experiment = loopback(load(find("zhang2023_table")), Path())
+    endpoint = experiment.table.lab.network.endpoint
+
+    def say(text):
+        with dial(endpoint) as session:
+            farewell(session, Keys("lab"), "sat2", "stopped", by_operator=True)
+
+    ending = WireRig(experiment, bench=False, say=say).fly(NullObserver())
+    assert (ending.t, ending.fault) == (0.0, STOPPED)
+
+
+def test_a_vehicle_that_is_stopped_before_the_start_tells_its_host():
+    heard, found = set(), []
+
+    def checked(checks):
+        if not heard and any(one.id != "agent" for one in checks):  # it is there, and not armed
+            endpoint = rig.experiment.table.lab.network.endpoint
+            heard.update(stop_directly(endpoint, "lab", None, ["sat1"], "a", 60.0))
+        found.extend(checks)
+
+    rig = WireRig(load(find("hold"), ["arming.battery=13"]), bench=True, checked=checked)
+    ending = rig.fly(NullObserver())
+    assert heard == {"sat1"}
+    assert (ending.t, ending.fault, rig.red) == (0.0, STOPPED, [])
 
 
 def test_the_host_says_that_an_agent_has_ended_and_why():

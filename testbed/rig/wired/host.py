@@ -6,7 +6,6 @@ elsewhere, and the host waits for them.
 
 import os
 import secrets
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
@@ -16,7 +15,7 @@ import msgspec
 import tomli_w
 import zenoh
 
-from testbed.config import ConfigError, Experiment, dump
+from testbed.config import Experiment, dump
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.error import TestbedError
 from testbed.flight.arming import Check
@@ -30,19 +29,20 @@ from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.links import Party
 from testbed.net.roll_call import Roll
-from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
-from testbed.realtime.heartbeat import in_file
+from testbed.net.session import NetworkError, Subscriber, answer_to, on_word
+from testbed.net.stop import NOT_STARTED
 from testbed.realtime.processes import ChildError, ProcessGroup
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.fault_latch import FaultLatch
-from testbed.rig.firmware_boards import LOCKSTEP
 from testbed.rig.interface import not_armed
 from testbed.rig.live import LiveFlight
 from testbed.rig.wired.agent_process import AgentOptions
+from testbed.rig.wired.blame import blamed
 from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight, order
-from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.run_results import RunResults
+from testbed.rig.wired.stop_requests import Asked
+from testbed.rig.wired.suitable import check_wires
 from testbed.rig.wired.table_report import TableReport
 from testbed.rig.wired.trial_call import compile_host
 from testbed.rig.wired.wired_flight import HostFlight
@@ -52,7 +52,7 @@ GREEN_S = 10.0  # time for checks to pass: the camera rate is counted over a sec
 AHEAD_NS = 1_500_000_000  # from the order to start to the run's time 0
 LEASE_NS = 100_000_000  # between two leases before time 0
 LOOK_NS = 20_000_000
-SPARE = 6_000  # room for the overhead of a message [bytes]
+ANSWER_NS = 500_000_000  # after a stop before the start: `testbed stop` asks who stands
 
 
 class HostError(TestbedError):
@@ -106,27 +106,7 @@ class WireRig:
         self.concerns, self.come_to_rest = results.concerns, results.come_to_rest
         self.jets = results.jets
         self._bench, self._keep = bench, keep
-        if bench and experiment.board in LOCKSTEP:
-            expected = "host or qemu on the bench, where time is real"
-            raise ConfigError("this rig", "board", expected, experiment.board)
-        if not bench and experiment.board != "model":
-            expected = "no board on the table: its boards are the lab's"
-            raise ConfigError("this rig", "board", expected, experiment.board)
-        if experiment.forks:
-            expected = "no change in flight: only the twin's vehicles change"
-            raise ConfigError("this rig", "forks", expected, f"{len(experiment.forks)} forks")
-        if experiment.inject and not bench:
-            expected = "no faults on the table: inject them on the twin or on the bench"
-            raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} faults")
-        for k, one in enumerate(experiment.inject):
-            if one.at_s is None and one.kind in OF_PROCESSES:
-                expected = f"`at_s`: on the bench {one.kind} needs a time"
-                raise ConfigError("this rig", f"inject.{k + 1}", expected, f'event = "{one.event}"')
-        size = len(msgspec.json.encode(experiment))
-        if size > LARGEST - SPARE:
-            expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB when encoded"
-            found = f"{size // 1000} kB: is the tilt map too fine?"
-            raise ConfigError("this rig", "", expected, found)
+        check_wires(experiment, bench=bench)
         self._log, self._agree, self._latch = log, agree, latch
         self._say, self._checked = say, checked
         self.supervisor = Supervisor(latched)
@@ -163,6 +143,8 @@ class WireRig:
     def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
         compile_host(self.experiment)
+        if stopped():
+            return Ending(0.0, None)
         try:
             with ExitStack() as stack:
                 ending = self._fly(stack, observer, stopped)
@@ -202,27 +184,38 @@ class WireRig:
         network = self.experiment.table.lab.network
         opened, self.results.key_warnings = open_lab(network, self.experiment.vehicles)
         session = stack.enter_context(opened)
-        names, title = list(self.experiment.vehicles), self.experiment.name
-        note = noted(
-            network.endpoint, network.lab, network.keys, names, title,
-            say=self._say, folder=self._log,
-        )  # fmt: skip
-        stack.enter_context(note)
-        keys = Keys(network.lab)
+        keys, asked = Keys(network.lab), Asked()
         text = msgspec.json.encode(self.experiment)
         roll = Roll(session, keys, self.experiment.vehicles)
+
+        def called_off() -> bool:
+            return asked.times > 0 or roll.stopped  # the stop may have reached a vehicle first
+
         answering = [
             answer_to(session, keys.experiment, lambda _: text),
-            answer_to(session, keys.ended, lambda _: self.results.ended_as()),
+            answer_to(session, keys.ended, lambda _: self._ended_as(called_off=called_off())),
+            on_word(session, keys.stop, asked.hear),
             answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
         ]
         truth = Subscriber(session, keys.truth)
+        note = noted(
+            network.endpoint, network.lab, network.keys, list(self.experiment.vehicles),
+            self.experiment.name, say=self._say, folder=self._log,
+        )  # fmt: skip
+        stack.enter_context(note)  # from now on a stop is heard
         if children is not None:
             self._start_children(children)
         try:
-            flight = self._prepare(session, keys, roll, children, stopped)
+            try:
+                flight = self._prepare(
+                    session, keys, roll, children, lambda: max(stopped(), called_off()), asked
+                )
+            except (NotArmedError, HostError, NetworkError, ChildError):
+                if not called_off():  # else the vehicle has ended because of the stop
+                    raise
+                flight = None
             if flight is None:
-                return Ending(0.0, None)
+                return self._not_flown(children, roll, called_off=called_off())
             flight.truth = truth
             if self.on_start is not None:
                 self.on_start(self)
@@ -230,7 +223,8 @@ class WireRig:
             ending = flight.fly(observer, stopped, self.supervisor)
             self.results.law_concerns = flight.concerns
             if children is not None:
-                fault = self._blamed(children, ending.fault)
+                flown = [n for n in self.experiment.vehicles if n not in self.results.ended]
+                fault = blamed(children, flown, ending.fault)
                 ending = Ending(ending.t, fault, ending.found_t)
             if flight.stopped:
                 self.supervisor.request(ending.t, "stop")
@@ -240,6 +234,22 @@ class WireRig:
                 self._end_children(children)
             del answering  # last: a stop may come while the processes end
         return ending
+
+    def _not_flown(self, children: ProcessGroup | None, roll: Roll, *, called_off: bool) -> Ending:
+        """How a run ends that was stopped before its start."""
+        for name in self.experiment.vehicles:
+            if children is not None and name not in roll.tickets:
+                children.kill(name)  # it compiles, which cannot be interrupted
+        if not called_off:
+            return Ending(0.0, None)
+        sleep_until_ns(monotonic_ns() + ANSWER_NS)
+        return Ending(0.0, FaultReport(FaultId.STOPPED, "stopped by the operator"))
+
+    def _ended_as(self, *, called_off: bool) -> bytes:
+        """The bearing air of vehicles whose flight has ended, or that do not start, by name."""
+        if not called_off or self.results.boards:
+            return self.results.ended_as()
+        return msgspec.json.encode(dict.fromkeys(self.experiment.vehicles, NOT_STARTED))
 
     def _start_children(self, children: ProcessGroup) -> None:
         config = children.folder / "experiment.toml"
@@ -260,24 +270,6 @@ class WireRig:
             children.start(name, [*python, "testbed.rig.wired.agent_process", words])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
-    def _blamed(self, children: ProcessGroup, fault: FaultReport | None) -> FaultReport | None:
-        """The fault, with the name of the law that ended or blocks its vehicle's process."""
-        for name in self.experiment.vehicles:
-            heartbeat = in_file(children.folder / f"{name}.heartbeat")
-            if name in self.results.ended or heartbeat.inside is None:
-                continue
-            code = children.ended(name)
-            if code is None:
-                children.kill(name)  # it cannot end by itself
-                how = "did not return"
-            elif code < 0:
-                how = f"ended its process by {signal.Signals(-code).name}"
-            else:
-                how = f"ended its process with exit code {code}"
-            text = f"law of {name} ({heartbeat.law}) {how}"
-            return FaultReport(FaultId.LAW_STUCK, text, notes=(fault.words,) if fault else ())
-        return fault
-
     def _end_children(self, children: ProcessGroup) -> None:
         children.end(list(self.experiment.vehicles))
         children.end(["twin"])  # last, because the boards hold the valves
@@ -292,6 +284,7 @@ class WireRig:
         roll: Roll,
         children: ProcessGroup | None,
         stopped: Callable[[], int],
+        asked: Asked,
     ) -> "HostFlight | None":
         """Wait for the vehicles and order them to start; None: the operator stopped it.
 
@@ -348,7 +341,7 @@ class WireRig:
         run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
         clock = self.results.clock = WallClock(epoch)
         party = Party(session, self.experiment.table.lab, run, clock, self.experiment.seed, "host")
-        flight = HostFlight(self.experiment, self.results, party, self.disk_free)
+        flight = HostFlight(self.experiment, self.results, party, self.disk_free, asked)
         try:
             for name in names:
                 match order(session, keys, name, Start(run, epoch, roll.tickets[name])):

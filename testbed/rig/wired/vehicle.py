@@ -34,7 +34,7 @@ from testbed.net.direct_stop import StopListener
 from testbed.net.envelope import Outbox
 from testbed.net.keys import Keys
 from testbed.net.links import Party, ZenohVehicleLink
-from testbed.net.roll_call import Enrolment, last_words
+from testbed.net.roll_call import Enrolment, farewell, last_words
 from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.law_watch import patience
 from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
@@ -103,6 +103,8 @@ class VehicleProcess:
             if start is None:
                 why = self.commands.stop_reason or "its parent process has ended"
                 self.say(f"not flown: {why}")
+                if self.commands.operator_stops:
+                    farewell(self.session, self.keys, self.name, why, by_operator=True)
                 return
             self.start(start)
             with counted(self.flight.signals):

@@ -143,6 +143,7 @@ class HostFlight:
         book: records the data of the flight.
         party: this end of the network.
         disk_free: free space on the disk of the log [bytes].
+        asked: counts stops from any terminal already; None: this object does.
     """
 
     def __init__(
@@ -151,6 +152,7 @@ class HostFlight:
         book: Book,
         party: Party,
         disk_free: Callable[[], float] = lambda: 1e12,
+        asked: Asked | None = None,
     ) -> None:
         self._process_faults = ProcessFaults(experiment.inject, lambda: party.clock.now)
         self._intruders: dict[str, Publisher] = {}
@@ -181,10 +183,11 @@ class HostFlight:
         self._observer: Observer | None = None
         self._fleet: FaultReport | None = None
         self._armed = True
-        self._asked = Asked()  # stops from any terminal
+        self._asked = asked or Asked()  # stops from any terminal
         self._pause = Pause()
         self.concerns: list[Concern] = []  # of laws on the host and floods, after the flight
-        self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
+        if asked is None:
+            self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
     @property
     def stopped(self) -> bool:
