@@ -9,6 +9,7 @@ from rich.table import Table as Grid
 from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.screen import show
 from testbed.config import Experiment
+from testbed.core.codes import FaultId
 from testbed.metrics.afterwards import left_in_words
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import FormationCriteria, Metrics, weakest_jet
@@ -132,6 +133,9 @@ def _verdict(metrics: Metrics) -> str:
         for name, met in (metrics.criteria or {}).items()
         if not met
     ]
+    report = metrics.fault_report
+    if report is not None and report.id == FaultId.STOPPED:
+        return f"[bold yellow]{escape(report.text)}[/] after {metrics.duration_s:.1f} s: not judged"
     if metrics.fault:
         why, end, found = escape(metrics.fault), metrics.duration_s, metrics.fault_t
         at = f" at {found:.1f} s" if found is not None and end - found >= STOP_TOOK else ""

@@ -22,7 +22,7 @@ from queue import Empty
 import msgspec
 from msgspec.structs import replace
 
-from testbed.core.codes import FaultReport
+from testbed.core.codes import FaultId, FaultReport
 from testbed.files import write_atomic
 from testbed.flight.frame_watch import FrameWatch
 from testbed.flight.loop import Ending, VehicleNode, fly
@@ -254,7 +254,8 @@ class VehicleProcess:
         if self.report_file is not None:
             write_atomic(self.report_file, msgspec.json.encode(ended))
         self.event.say(Outbox(start.session).seal(ended, now, now + KEPT_S))
-        self.say(f"ended after {ending.t:.1f} s{f' by a fault: {fault.words}' if fault else ''}")
+        by = "" if fault is None or fault.id == FaultId.STOPPED else " by a fault"
+        self.say(f"ended after {ending.t:.1f} s{by}{f': {fault.words}' if fault else ''}")
         end = monotonic_ns() + SENT_NS
         while monotonic_ns() < end and not self.gone():
             sleep_until_ns(monotonic_ns() + LOOK_NS)
