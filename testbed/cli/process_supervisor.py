@@ -9,7 +9,7 @@ that the child started and left behind.
     finished                          the child's exit code
     died or was killed                3; the fault names the law; the run folder is finished
     the same after the operator's     130, interrupted; the run folder is finished
-      stop
+      stop, or did not obey it
     the same while reading a law's    2; the file is refused; no run folder
       file
 
@@ -37,6 +37,9 @@ LOOK_S = 0.05
 GRACE_S = 1.0  # on top of the child's own limit, so that it can interrupt its law itself
 READ_S, FIRST_S = 45.0, 60.0  # limits for reading a law's file, and for calls that may compile
 ASKED_S = 1.0  # limit of a law's call, or of the compiler, after the operator's stop
+# limit of silence after the operator's stop: a run beats every tick, also while vehicles brake, and
+# without it they stand by then (a lease of 1 s and a brake of 6 s)
+HUNG_S = 7.0
 LEAVE_S = 2.0  # time for a finished process to exit
 MUCH = 1.5  # one call may add this multiple of deploy.law_memory_mb
 LAST_S = 20.0  # time for the log writer, and for vehicles that brake
@@ -83,6 +86,8 @@ class ProcessSupervisor:
         )
         self._looks, self._beats = 0, -1  # looks since the last heartbeat, and its count
         self._since_asked = 0
+        self._asked_ending, self._since_asked_ending = False, 0  # while the files are written
+        self._hung = False
         self._entered_mb = 0.0
 
     def watch(self) -> int:
@@ -99,13 +104,18 @@ class ProcessSupervisor:
             kill(pid)
         if code is not None:
             return code
-        if self._heartbeat.rig in ("", "twin") or self._heartbeat.phase < RunPhase.FLYING:
-            from testbed.net.flight_note import withdraw
+        from testbed.net.flight_note import withdraw
 
+        rig = self._heartbeat.rig
+        wired = rig in ("bench", "table") and self._heartbeat.phase >= RunPhase.FLYING
+        if not wired:
             withdraw(self._child)  # that of a killed host leads to its vehicles
         if sys.stderr.isatty():
             sys.stderr.write(SHOW_CURSOR)
-        return self._finish(fault or self._words())
+        code = self._finish(fault or self._words())
+        if rig == "bench":
+            withdraw(self._child)  # its vehicles have ended, too
+        return code
 
     # Looking
 
@@ -119,6 +129,7 @@ class ProcessSupervisor:
         info = signal.sigtimedwait(HEARD, LOOK_S)
         if info is not None and info.si_signo in STOPS:
             self._asked = self._asked or info.si_signo
+            self._asked_ending |= self._heartbeat.phase is RunPhase.ENDING
             sent_to_both = (info.si_signo, info.si_code) == (signal.SIGINT, SENT_BY_KERNEL)
             if not (sent_to_both and self._heartbeat.folder):  # early: there was no child perhaps
                 self._to_hand_on = info.si_signo, self._heartbeat.signals
@@ -140,6 +151,7 @@ class ProcessSupervisor:
         beats, vehicle = heartbeat.beats, heartbeat.inside
         self._looks = 0 if beats != self._beats else self._looks + 1
         self._since_asked += bool(self._asked)
+        self._since_asked_ending += self._asked_ending
         memory = resident_mb(self._child)
         if beats != self._beats:
             self._beats, self._entered_mb = beats, memory
@@ -152,7 +164,8 @@ class ProcessSupervisor:
             if vehicle is not None:
                 return self._law(f"did not return after the stop, within {ASKED_S:g} s")
         if vehicle is None:
-            return ""
+            self._hung = self._is_silent(still_s)
+            return "it did not obey the stop" if self._hung else ""
         limit_s, memory_mb = heartbeat.limits
         limit = limit_s + GRACE_S
         limit = {RunPhase.READING: READ_S, RunPhase.COMPILING: max(FIRST_S, limit)}.get(
@@ -166,6 +179,12 @@ class ProcessSupervisor:
                 f" deploy.law_memory_mb = {memory_mb:g}"
             )
         return ""
+
+    def _is_silent(self, still_s: float) -> bool:
+        """Whether a child that is in no law has not obeyed the stop, and does nothing else."""
+        if self._heartbeat.phase is RunPhase.ENDING:  # a page may stay until the next Ctrl-C
+            return min(still_s, LOOK_S * self._since_asked_ending) > FINISH_S
+        return min(still_s, LOOK_S * self._since_asked) > HUNG_S
 
     def _end_child(self) -> None:
         kill(self._child)
@@ -209,6 +228,8 @@ class ProcessSupervisor:
                 self._wait([pid], LAST_S)
         if self._asked and (heartbeat.inside is None or heartbeat.phase is RunPhase.COMPILING):
             fault = ""
+        if self._hung:
+            say("warning: the run's process did not obey the stop, and was killed")
         if not Path(heartbeat.folder, "config.toml").exists():
             say(f"aborted by a fault: {fault}; the run folder is gone: {heartbeat.folder}")
             return FAULT

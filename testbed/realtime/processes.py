@@ -15,10 +15,13 @@ import sys
 import tempfile
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
+from time import monotonic
 
 from testbed.core.error import TestbedError
+from testbed.realtime.heartbeat import heartbeat
 
 GRACE_S = 12.0  # time for a vehicle to brake
+BEAT_S = 0.5  # between two heartbeats while a child ends
 LEAVE_S = 2.0  # time for a guardian without children to exit
 GUARDIAN = Path(__file__).with_name("guardian.py")
 
@@ -105,9 +108,12 @@ class ProcessGroup:
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.close()
         for process in some.values():
-            try:
-                process.wait(self._grace_s)
-            except subprocess.TimeoutExpired:
+            end = monotonic() + self._grace_s
+            while process.poll() is None and monotonic() < end:
+                heartbeat().beat()  # this process does not hang
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(min(BEAT_S, self._grace_s))
+            if process.poll() is None:
                 process.kill()
                 process.wait()
         self._running = {n: p for n, p in self._running.items() if n not in some}

@@ -247,13 +247,16 @@ def _fly_and_judge(
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)
+
+                def stopped() -> int:
+                    heartbeat().beat()  # also while vehicles are waited for, and while they brake
+                    return interrupt.asked or int(log.trouble is not None)
+
                 recorder.meet()  # before the flight, which would wait for the writer's start
                 screen.flies()
                 with no_garbage_collection():
                     began = time.perf_counter()
-                    ending = rig.fly(
-                        log, stopped=lambda: interrupt.asked or log.trouble is not None
-                    )
+                    ending = rig.fly(log, stopped)
                     wall = time.perf_counter() - began
                     log.reports()
                     if ending.fault is None and (fault := complaint()):

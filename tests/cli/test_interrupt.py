@@ -16,6 +16,9 @@ import pytest
 from testbed.cli import run
 from testbed.cli.main import entry
 from testbed.config import load
+from testbed.flight.loop import Ending
+from testbed.realtime.heartbeat import heartbeat
+from testbed.rig.twin import TwinRig
 from testbed.run import fly as flying
 from testbed.run.interrupt import Interrupt
 
@@ -246,6 +249,37 @@ def test_while_it_compiles(start, here, read_log, tmp_path, number):
     metrics = assert_incomplete(here / "out", read_log)
     assert metrics["duration_s"] == 0.0
     assert json.loads(stdout) == metrics
+
+
+def test_a_process_that_does_not_obey_is_killed_and_its_run_finished(start, here, read_log):
+    process = start("run", "hold", FOR_EVER, "--speed", "1", "--out", "out")
+    log = here / "out" / "log.mcap"
+    wait_for(process, lambda: log.exists() and log.stat().st_size > 20_000)
+    for child in psutil.Process(process.pid).children():
+        child.suspend()
+    process.send_signal(signal.SIGTERM)
+    stdout, stderr = process.communicate(timeout=120)
+    assert process.returncode == 130, stderr
+    assert stderr == "warning: the run's process did not obey the stop, and was killed\n"
+    assert "interrupted at" in stdout
+    metrics = json.loads((here / "out" / "metrics.json").read_text())
+    assert (metrics["completed"], metrics["fault"]) == (False, None)
+    assert (here / "out" / "report.html").exists()
+    read_log(here / "out")
+
+
+def test_a_flight_shows_that_it_lives_whenever_it_asks_for_a_stop(monkeypatch):
+    beats = []
+
+    def waits(self, observer, stopped):  # as for vehicles on wires
+        for _ in range(3):
+            beats.append(heartbeat().beats)
+            stopped()
+        return Ending(0.0, None)
+
+    monkeypatch.setattr(TwinRig, "fly", waits)
+    assert exit_code(monkeypatch, "run", "hold") == 130
+    assert len(set(beats)) == 3
 
 
 def test_a_killed_run_leaves_a_log(start, here, read_log):

@@ -11,6 +11,7 @@ import pytest
 
 from patience import wait_for
 from testbed.realtime import processes as children
+from testbed.realtime.heartbeat import heartbeat
 from testbed.realtime.processes import ChildError, ProcessGroup, hung_up
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,6 +37,13 @@ def test_children_end_with_the_block():
         folder = children.folder
     assert [pid for pid in pids if psutil.pid_exists(pid)] == []
     assert not folder.exists()
+
+
+def test_the_process_that_ends_them_shows_that_it_lives():
+    before = heartbeat().beats
+    with ProcessGroup(grace_s=0.2) as children:
+        children.start("deaf", [sys.executable, "-c", IGNORES])
+    assert heartbeat().beats > before
 
 
 def test_one_that_ends_on_its_own_is_reported_with_its_words():
