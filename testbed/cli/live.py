@@ -87,16 +87,24 @@ class LiveTable(FlightScreen):
                 told, silent_s = line, 0.0
 
     def line(self) -> str:
-        """The status line: time, phase, errors, and the vehicles that do not fly."""
+        """The status line: time, phase, errors, and vehicles that do not fly, culprits first."""
         if not self._ticks:
             return f"{self._experiment.name}: {self._words}, {self.phase}"
         parts = [f"{self._t:.0f} of {self._experiment.duration_s:g} s", self.phase]
         for name, error in self._off(self._t).items():
             parts.append(f"{name} {1e3 * error:.1f} mm off")
-        for name, tick in list(self._ticks.items()):
-            if said := tick.outputs.fault or tick.outputs.inhibit_reason:
-                parts.append(f"{name}: {said.words}")
-        return f"{self._experiment.name}: {', '.join(parts)}"
+        own, following = list[str](), list[str]()
+        for name, tick in self._newest():
+            fault = tick.outputs.fault
+            if said := fault or tick.outputs.inhibit_reason:
+                follows = fault is not None and fault.cause is not None
+                (following if follows else own).append(f"{name}: {said.words}")
+        return f"{self._experiment.name}: {', '.join(parts + own + following)}"
+
+    def _newest(self) -> list[tuple[str, AnyTick]]:
+        """The newest tick of each vehicle, in the order of the experiment's file."""
+        ticks = dict(self._ticks)  # the flight adds vehicles as their messages arrive
+        return [(name, ticks[name]) for name in self._experiment.vehicles if name in ticks]
 
     @contextmanager
     def aside(self) -> Iterator[None]:
@@ -128,7 +136,7 @@ class LiveTable(FlightScreen):
         self._progress.update(self._bar, completed=self._t, description=words)
         if not self._ticks:
             return self._progress
-        grid, ticks = Grid(box=None, pad_edge=False), list(self._ticks.items())
+        grid, ticks = Grid(box=None, pad_edge=False), self._newest()
         grid.add_column("vehicle", no_wrap=True)
         grid.add_column("state", overflow="fold")
         count = self._fitting(max(len(name) for name, _ in ticks))
@@ -150,7 +158,7 @@ class LiveTable(FlightScreen):
         """Distance of each vehicle from its reference [m]."""
         places = {
             name: np.array([[tick.outputs.state.pose.x, tick.outputs.state.pose.y]])
-            for name, tick in list(self._ticks.items())
+            for name, tick in self._newest()
             if tick.outputs.state is not None
         }
         off = self._goal_error.by_vehicle(np.array([t]), places)

@@ -88,6 +88,20 @@ def test_the_culprit_and_those_who_stop_with_it_are_told_apart():
     assert "FAULT" not in rows["sat1"] + rows["sat2"]
 
 
+def test_vehicles_have_the_order_of_the_experiment_and_the_culprit_comes_first():
+    stuck = 'inject=[{kind="stick_open",vehicle="sat3",at_s=1.03,jet=3}]'
+    live = flown(Console(file=io.StringIO()), "duration_s=4", stuck)
+    live._ticks = {name: live._ticks[name] for name in ("sat2", "sat3", "sat1")}  # as they came
+    rows = [line.split()[0] for line in words(live).splitlines() if line.startswith("sat")]
+    assert rows == ["sat1", "sat2", "sat3"]
+    line = live.line()
+    off = [line.index(f"{name} ") for name in rows]
+    assert off == sorted(off)
+    told = [line.index(f"{name}: ") for name in ("sat3", "sat1", "sat2")]
+    assert told == sorted(told)
+    assert line.index("valve stuck open") < line.index("stopped with the others")
+
+
 def test_before_the_first_tick():
     experiment = load(find("hold"))
     assert "getting ready" in words(LiveTable(experiment, Console(file=io.StringIO())))
