@@ -111,7 +111,8 @@ class Disk:
         """A warning, once; DiskFullError while the log can still be finished."""
         free = self._free()
         if free < self._end_below:
-            raise DiskFullError(f"No space left on device: {free / 1e6:.0f} MB")
+            kept = f"the log ends at {self._end_below / 1e6:.0f} MB"
+            raise DiskFullError(f"No space left on device: {free / 1e6:.1f} MB are free, {kept}")
         if free < self._warn_below and not self._warned:
             self._warned = True
             return (

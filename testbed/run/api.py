@@ -22,7 +22,14 @@ from testbed.rig.twin import make_twin
 from testbed.run.arguments import check_experiment, check_number, check_overrides, path_of, wrong
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
-from testbed.run.folder import new_folder, take_back, utc_ns, write_config, write_metrics
+from testbed.run.folder import (
+    check_space,
+    new_folder,
+    take_back,
+    utc_ns,
+    write_config,
+    write_metrics,
+)
 from testbed.run.fork import ForkError, check_fork, forked, resumed
 from testbed.run.interrupt import Interrupt
 from testbed.run.progress import Progress
@@ -76,6 +83,7 @@ def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: 
     with ExitStack() as stack:
         if log is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="testbed-")))
+            check_space(folder)
         else:
             folder = new_folder(path_of("testbed.fly, log", log, NEW), experiment.name)
         if current_thread() is main_thread():  # no other thread can be interrupted

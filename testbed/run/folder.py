@@ -15,6 +15,7 @@ import time
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any
 
 import msgspec
@@ -28,6 +29,8 @@ from testbed.files import write_atomic
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.provenance import FLOWN, versions
 from testbed.run.code import code_digest
+
+LEAST_FREE = 50_000_000  # 20 MB are kept to end the log; the rest is an hour of one vehicle [bytes]
 
 
 class FolderError(TestbedError):
@@ -47,9 +50,10 @@ def new_folder(out: Path | None, name: str) -> Path:
         name: name of the experiment.
 
     Raises:
-        FolderError: the folder is not empty or not writable.
+        FolderError: the folder is not empty or not writable, or its disk is nearly full.
     """
     try:
+        check_space(Path("runs") if out is None else out)
         if out is not None:
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
                 found = "older files in it" if out.is_dir() else "a file"
@@ -72,6 +76,22 @@ def new_folder(out: Path | None, name: str) -> Path:
             found=str(error.strerror),
         ) from None  # fmt: skip
     raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
+
+
+def check_space(folder: Path) -> None:
+    """Refuse a disk on which the log would end during the flight; the folder need not exist yet.
+
+    Raises:
+        FolderError: less than LEAST_FREE is free.
+        OSError: its disk cannot be looked at.
+    """
+    place = folder.absolute()
+    free = disk_usage(next(one for one in (place, *place.parents) if one.exists())).free
+    if free < LEAST_FREE:
+        raise FolderError(
+            where=str(folder), expected=f"at least {LEAST_FREE / 1e6:.0f} MB free on its disk",
+            found=f"{free / 1e6:.1f} MB", hint="free some space, or choose another disk with --out",
+        )  # fmt: skip
 
 
 def take_back(folder: Path) -> None:

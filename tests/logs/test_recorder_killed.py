@@ -171,7 +171,9 @@ def test_damage_is_said(tmp_path):
 def test_it_warns_once_and_ends_the_log_properly_before_the_disk_is_full(tmp_path):
     room, said = iter(range(1000, 0, -100)), []
     path = tmp_path / "log.mcap"
-    with pytest.raises(DiskFullError, match="No space left"):
+    with pytest.raises(
+        DiskFullError, match=r"No space left on device: 0.0 MB are free, the log ends"
+    ):
         write_log(path, iter(chunked(500)), Disk(lambda: next(room), 800, 400), said.append)
     assert said[0] == "ready"
     assert len(said) == 2

@@ -4,6 +4,7 @@ import re
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -65,6 +66,25 @@ def test_a_wanted_folder_is_made_with_its_parents():
 def test_an_empty_folder_is_taken():
     Path("empty").mkdir()
     assert new_folder(Path("empty"), "hold") == Path("empty")
+
+
+@pytest.mark.parametrize("out", [None, Path("a/b")])
+def test_a_disk_without_room_for_a_log_is_refused_and_no_folder_is_made(out, monkeypatch):
+    asked = []
+
+    def nearly_full(path):
+        asked.append(path)
+        return SimpleNamespace(free=1.2e6)
+
+    monkeypatch.setattr(folder, "disk_usage", nearly_full)
+    with pytest.raises(FolderError) as error:
+        new_folder(out, "hold")
+    assert error.value.where == str(out or "runs")
+    assert error.value.expected == "at least 50 MB free on its disk"
+    assert error.value.found == "1.2 MB"
+    assert "--out" in error.value.hint
+    assert asked == [Path.cwd()]  # of the part that exists
+    assert list(Path.cwd().iterdir()) == []
 
 
 @pytest.mark.parametrize("content", [".hidden", "metrics.json"])
