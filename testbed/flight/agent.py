@@ -357,6 +357,8 @@ class Agent:
                 return self._law_error or vitals.law_error
             case Detector.POSE_OF_ANOTHER:
                 return other
+            case Detector.DISK_FREE:
+                return f"{1e-6 * vitals.disk_free:.0f} MB are left"
             case Detector.NEIGHBOUR_AGE:
                 return oldest
             case Detector.FLEET:

@@ -155,7 +155,7 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
     check("session", None, "messages of another session", green=vitals.session_ok)
     differs = "host and vehicle differ: start the agent again"
     check("config", None, differs, green=vitals.same_config)
-    check("disk", vitals.disk_free, f"{vitals.disk_free:.1e} bytes free", p.disk_free)
+    check("disk", vitals.disk_free, f"{1e-6 * vitals.disk_free:.0f} MB free", p.disk_free)
     absent = f"not heard for {vitals.operator_age:.1f} s"
     check("operator", vitals.operator_age, absent, most=p.operator_age_s)
     check("law", None, vitals.law_error, green=not vitals.law_error)

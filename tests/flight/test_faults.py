@@ -7,10 +7,12 @@ import pytest
 from msgspec.structs import replace
 
 from stages import QUIET, FaultMonitor, Safety
+from testbed.config import find, load
 from testbed.config.shipped import shipped_faults
 from testbed.core.codes import Detector, FaultCause, FaultReport, Response
 from testbed.core.types import Health, Inputs, Vitals, Wrench
 from testbed.flight.faults import Fault, FaultTable
+from testbed.rig.forked import make_vehicle
 
 TABLE = shipped_faults()
 DETECTORS = [one.words for one in Detector]
@@ -206,3 +208,12 @@ def test_a_table_is_typed(change):
     tree = msgspec.to_builtins(replace(ROW)) | change
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert({"row": tree}, FaultTable)
+
+
+def test_a_full_disk_is_told_in_megabytes():
+    agent = make_vehicle(load(find("hold")), "sat1")
+    agent.step(Inputs(0.0, True, (), None, {}, Health(0.0, 5e5, 2e7)))
+    told = agent.step(
+        Inputs(0.1, True, (), None, {}, Health(0.1, 5e5, 2e7), vitals=Vitals(disk_free=9.9e7))
+    )
+    assert told.fault.words == "disk_full: the disk is nearly full: 99 MB are left"

@@ -268,3 +268,7 @@ def test_whatever_else_is_bad_is_red(name, change, ready):
     found = red(replace(ready, **change))
     assert list(found) == [name]
     assert found[name]
+
+
+def test_a_full_disk_is_told_in_megabytes(ready):
+    assert red(replace(ready, vitals=Vitals(disk_free=1e8)))["a disk"] == "100 MB free"
