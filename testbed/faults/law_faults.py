@@ -13,6 +13,7 @@ from testbed.core.error import TestbedError
 from testbed.core.jets import JetHealth
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
+from testbed.core.warned import Warned
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 
@@ -72,6 +73,11 @@ class CrashableNode:
     def jets(self) -> tuple[JetHealth, ...]:
         """See `VehicleNode`."""
         return self._node.jets
+
+    @property
+    def warned(self) -> dict[str, Warned]:
+        """See `Agent`."""
+        return self._node.warned
 
     def tick(
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,

@@ -6,6 +6,7 @@ becomes the outputs, with the names and words that belong to its codes.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -15,9 +16,7 @@ from testbed.core.bundle import Bundle
 from testbed.core.codes import (
     Detector,
     FaultReport,
-    InhibitReason,
     Intervention,
-    Refusal,
     Response,
 )
 from testbed.core.compiled import settled
@@ -40,6 +39,7 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.core.vehicle import Vehicle
+from testbed.core.warned import Warned
 from testbed.flight import chain
 from testbed.flight.bad_jet import INNOVATIONS
 from testbed.flight.barrier import WIDTH, Barrier
@@ -53,6 +53,8 @@ from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
 from testbed.flight.permanent import verdict_of
 from testbed.flight.record import DONE, ROW, STATE, TOLD, packing
+from testbed.flight.refusals import refusal_of, reported
+from testbed.flight.warnings import Warnings
 
 
 def lead_time(vehicle: Vehicle) -> float:
@@ -61,7 +63,6 @@ def lead_time(vehicle: Vehicle) -> float:
 
 
 RESPONSES = tuple(Response)
-REASONS = {one.value: one for one in InhibitReason}
 IN, OUT = packing(TOLD), packing(STATE, DONE)
 # places in record.DONE, counted in numbers
 FAULT, HOLDING, OTHER, OLDEST, LEAK, GATE_FAULT = 19, 20, 21, 22, 23, 29
@@ -107,6 +108,7 @@ class Agent:
         self._place: Reference | None = None  # see `staying`
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
+        self._warnings = Warnings(self._faults)
         self._see, self._act = settled(chain.see), settled(chain.act)
         self._step = settled(chain.step)
 
@@ -143,6 +145,7 @@ class Agent:
         self.row[:] = before.row
         for part in ("_law_error", "_fault", "_nearby"):
             setattr(self, part, getattr(before, part))
+        self._warnings.found |= before.warned
         if self.guidance is not None and before.guidance is not None:
             self.guidance.take_over(before.guidance, kept)
 
@@ -190,6 +193,11 @@ class Agent:
             for share, sigma, gives, leaks, named in rows
         )
 
+    @property
+    def warned(self) -> dict[str, Warned]:
+        """Rows of the fault table that have held without ending the flight."""
+        return self._warnings.found
+
     def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
         """Write the inputs into the tick's record, in the order of record.TOLD."""
         health, vitals = inputs.health, inputs.vitals
@@ -233,6 +241,7 @@ class Agent:
         m = self.memory
         if (done[LEAK] > ALERT or done[HOLDING]) and state is not None:
             self._nearby.look(inputs.t, state, inputs.neighbours)
+        self._warn(inputs, done)
         report = self.report(done[FAULT], done[GATE_FAULT], lambda: inputs)
         lists = m.times, m.counters.holds, m.fixed[0].gate.values
         return self.made(state, done, inputs, setpoint, report, *lists, message)
@@ -248,9 +257,11 @@ class Agent:
             looks: something holds or may leak.
             inputs: makes the inputs of the tick; they are rarely needed.
         """
-        if looks and (state := taken(self._bytes)[0]) is not None:
+        state, done = taken(self._bytes) if looks else (None, ())
+        if state is not None:
             told = inputs()
             self._nearby.look(told.t, state, told.neighbours)
+            self._warn(told, done)
         return self.report(fault, gate_fault, inputs)
 
     def step_row(self, samples: Array, references: Array, neighbours: Array) -> None:
@@ -323,6 +334,15 @@ class Agent:
             name for (name, _), one in zip(self._faults, holds.tolist(), strict=True) if one
         )
 
+    def _warn(self, inputs: Inputs, done: Sequence[Any]) -> None:
+        """Note the rows of the fault table that hold in flight."""
+        if not done[HOLDING] or not inputs.armed or inputs.vitals.end:
+            return
+        names, holds = ("", *inputs.neighbours), self.memory.counters.holds
+        other, oldest = names[done[OTHER] + 1], names[done[OLDEST] + 1]
+        said = partial(self._said, inputs=inputs, other=other, oldest=oldest)
+        self._warnings.look(inputs.t, holds, self.row[0]["numbers"], said)
+
     def _report(self, k: int, inputs: Inputs, other: str, oldest: str) -> FaultReport:
         """The report of row `k` of the fault table, which was latched at this tick."""
         name, row = self._faults[k]
@@ -364,19 +384,6 @@ class Agent:
             case Detector.FLEET:
                 return "" if vitals.fleet is None else vitals.fleet.words
         return ""
-
-
-def refusal_of(code: int, gate_fault: int, values: Array) -> Refusal:
-    """The reason with the values of its words."""
-    reason, said = REASONS[code], ()
-    if code == gate_fault:
-        said = tuple(values[: reason.words.count("{")].tolist())
-    return Refusal(reason, said)
-
-
-def reported(refusal: Refusal) -> FaultReport:
-    """The report of a reason that the gate has latched."""
-    return FaultReport(refusal.code.name.lower(), refusal.words)
 
 
 def taken(record: memoryview) -> tuple[State | None, Sequence[Any]]:

@@ -30,6 +30,7 @@ from testbed.core.types import (
     Trajectory,
     Vitals,
 )
+from testbed.core.warned import Warned
 from testbed.flight.faults import LONGEST_WORDS
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.guidance import Guidance
@@ -63,6 +64,11 @@ class Chain(Protocol):
         """See `Agent`."""
         ...
 
+    @property
+    def warned(self) -> dict[str, Warned]:
+        """See `Agent`."""
+        ...
+
     def staying(self, t: float) -> Trajectory | None:
         """See `Agent`."""
         ...
@@ -92,6 +98,11 @@ class VehicleNode:
     def jets(self) -> tuple[JetHealth, ...]:
         """Each jet as the flight has shown it."""
         return self._agent.jets
+
+    @property
+    def warned(self) -> dict[str, Warned]:
+        """See `Agent`."""
+        return self._agent.warned
 
     def _setpoint(self, t: float, stay: bool) -> Setpoint | None:
         """The place to stay at, or what the host sends; a law on board obeys no other setpoint."""

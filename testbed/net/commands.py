@@ -9,6 +9,7 @@ from msgspec import Struct
 from testbed.core.codes import FaultReport, Response
 from testbed.core.jets import JetHealth
 from testbed.core.types import Tick
+from testbed.core.warned import Warned
 from testbed.flight.arming import Readiness
 
 
@@ -134,3 +135,4 @@ class Ended(Struct, frozen=True):
     landed_s: float | None = None  # from the end to the order "air off"; None: never [s]
     air: Literal["off", "on"] = "on"  # bearing air, as the board reported it last
     jets: tuple[JetHealth, ...] = ()  # in the vehicle file's order
+    warned: dict[str, Warned] = {}  # rows of the fault table that held without ending the flight

@@ -14,6 +14,7 @@ from testbed.config import Experiment
 from testbed.core.jets import JetHealth
 from testbed.core.ports import HostLink
 from testbed.core.types import Inputs, Outputs, Trajectory
+from testbed.core.warned import Warned
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.flown_tick import AnyHostTick
 from testbed.flight.guidance import Guidance, Kept
@@ -79,6 +80,11 @@ class ForkedAgent:
     def jets(self) -> tuple[JetHealth, ...]:
         """See `Agent`."""
         return self._now.jets
+
+    @property
+    def warned(self) -> dict[str, Warned]:
+        """See `Agent`."""
+        return self._now.warned
 
     def staying(self, t: float) -> Trajectory | None:
         """See `Agent`."""

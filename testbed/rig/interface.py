@@ -100,7 +100,7 @@ class Rig(Protocol):
         ...
 
     def concerns(self) -> list[Concern]:
-        """Concerns that the laws in this process report."""
+        """Concerns that the laws in this process report, and what the vehicles have noticed."""
         ...
 
 

@@ -22,6 +22,7 @@ from testbed.core.landing import landing_delay
 from testbed.core.law import Concern
 from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
+from testbed.core.warned import noticed
 from testbed.faults.law_faults import CrashableNode
 from testbed.flight.agent import Agent
 from testbed.flight.arming import Check
@@ -212,12 +213,13 @@ class TwinRig(Struct, frozen=True):
     def concerns(self) -> list[Concern]:
         """See `Rig`."""
         nodes = [*self.vehicles, *self.hosts]
-        return [
+        of_laws = [
             Concern(concern.name, f"{node.name}: {concern.text}")
             for node in nodes
             if node.guidance is not None
             for concern in node.guidance.concerns
         ]
+        return of_laws + noticed({node.name: node.warned for node in self.vehicles})
 
     def track(self) -> Track:
         """The truth at every camera frame so far."""

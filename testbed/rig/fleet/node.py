@@ -13,6 +13,7 @@ from testbed.core.codes import FaultReport
 from testbed.core.compiled import settled
 from testbed.core.jets import JetHealth
 from testbed.core.rows import References, States
+from testbed.core.warned import Warned
 from testbed.flight.agent import ALERT, Agent
 from testbed.flight.barrier import WIDTH
 from testbed.flight.flown_span import FlownRows
@@ -131,6 +132,11 @@ class TwinNode:
     def jets(self) -> tuple[JetHealth, ...]:
         """See `VehicleNode`."""
         return self._agent.jets
+
+    @property
+    def warned(self) -> dict[str, Warned]:
+        """See `Agent`."""
+        return self._agent.warned
 
     def tick(
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,

@@ -10,6 +10,7 @@ import numpy as np
 from testbed.config import Experiment
 from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
+from testbed.core.warned import noticed
 from testbed.flight.loop import Ending, Observer
 from testbed.metrics.afterwards import After, Left
 from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
@@ -180,7 +181,14 @@ class RunResults:
 
     def concerns(self) -> list[Concern]:
         """See `Rig`. Concerns of laws on board are not collected."""
-        return [*self.law_concerns, *(Concern("keys_expire", words) for words in self.key_warnings)]
+        return [
+            *self.law_concerns, *(Concern("keys_expire", words) for words in self.key_warnings),
+            *noticed({name: self.ended[name].warned for name in self._heard_out()}),
+        ]  # fmt: skip
+
+    def _heard_out(self) -> list[str]:
+        """The vehicles that have reported how they ended."""
+        return [name for name in self.experiment.vehicles if name in self.ended]
 
     def jets(self, name: str) -> tuple[JetHealth, ...]:
         """See `Rig`."""

@@ -250,6 +250,7 @@ class VehicleProcess:
             flight.rows, flight.responses,
             None if flight.landed_at is None else max(0.0, flight.landed_at - ending.t),
             "on" if self.thrusters.floats else "off", self.agent.jets,
+            self.agent.warned,
         )  # fmt: skip
         if self.report_file is not None:
             write_atomic(self.report_file, msgspec.json.encode(ended))
