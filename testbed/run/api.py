@@ -191,11 +191,11 @@ def fork(
     check_overrides("fork", overrides)
     original = _logged(run, "fork")
     before = load(config_of(original))
-    experiment = forked(before, t, overrides)
     end = run.metrics.duration_s
-    if t >= end:
+    if t >= end:  # first, because it may have ended before its experiment's end
         expected = f"a time before the flight's end at {end:g} s"
         raise ForkError(where="fork", expected=expected, found=f"{t:g} s")
+    experiment = forked(before, t, overrides)
     make = _maker("twin")
     if run.metrics.rig != "twin":
         experiment, rig = replace(experiment, board="model"), resumed(original, t)

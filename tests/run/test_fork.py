@@ -210,6 +210,8 @@ def test_a_fork_after_the_flight_s_end_is_refused(run, tmp_path):
     assert end < 7.0
     with pytest.raises(ForkError, match=f"before the flight's end at {end:g} s"):
         short.fork(end + 0.5, seed=9, log=tmp_path / "b")
+    with pytest.raises(ForkError, match=f"before the flight's end at {end:g} s"):
+        short.fork(99.0, seed=9, log=tmp_path / "b")  # nor in an experiment of 8 s
     assert not (tmp_path / "b").exists()
 
 
