@@ -59,7 +59,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     if metrics.jets:
         shares = [_cell(weakest_jet(metrics, n), 1e2, 0, is_missed=False) for n in metrics.vehicles]
         grid.add_row(escape("weakest known jet [%]"), *shares, "")
-    show(out, grid)
+    show(out, grid, keeps_last=True)
     separation = metrics.min_vehicle_distance_m
     pieces = [f"contacts: {'not known' if metrics.contacts == UNCOUNTED else metrics.contacts}"]
     if separation is not None:

@@ -16,23 +16,24 @@ WIDEST = 10_000  # of a file or a pipe, which has no width [characters]
 LEAST_TEXT = 28  # width that a longer text keeps at least [characters]
 
 
-def show(out: Console, grid: Grid) -> None:
-    """Print a table."""
+def show(out: Console, grid: Grid, *, keeps_last: bool = False) -> None:
+    """Print a table; with `keeps_last`, each part has the last column, too."""
     if not out.is_terminal and "COLUMNS" not in os.environ:
         out.width, grid.expand = WIDEST, False
     for column in grid.columns:
         column.overflow, column.no_wrap = "fold", column.justify == "right"
     first, *others = grid.columns
+    last = [others.pop()] if keeps_last and len(others) > 1 else []
     parts: list[list[Column]] = []
     for column in others:
-        if not parts or _width(out, grid, [first, *parts[-1], column]) > out.width:
+        if not parts or _width(out, grid, [first, *parts[-1], column, *last]) > out.width:
             parts.append([])
         parts[-1].append(column)
     if len(parts) < 2:
         out.print(grid)
         return
     for k, some in enumerate(parts):
-        out.print(_part(grid, [first, *some], is_first=k == 0))
+        out.print(_part(grid, [first, *some, *last], is_first=k == 0))
 
 
 def say(out: Console, text: str, style: str | None = None, hang: int = 2) -> None:

@@ -75,6 +75,9 @@ def test_many_vehicles_fold_into_parts(flown, capsys, monkeypatch, count):
     impulse = f"{metrics.vehicles['sat1'].impulse_ns:.1f}"
     rows = [line for line in table.splitlines() if "impulse [N s]" in line]
     assert sum(row.split("]")[1].count(impulse) for row in rows) == count
+    headings = [line for line in table.splitlines() if "limit" in line]
+    assert len(headings) == len(rows)  # the limits stand beside each part's vehicles
+    assert all("chaser_" in line for line in headings)
 
 
 def test_text_folds_and_numbers_do_not(capsys, monkeypatch):
