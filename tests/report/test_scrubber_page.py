@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +45,18 @@ def page(browser, crash):
         opened.open(crash.as_uri())
         opened.value("new Promise(done => setTimeout(done, 400))")
         yield opened
+
+
+def test_a_long_name_does_not_widen_the_page(browser, crash, tmp_path):
+    page = tmp_path / "long.html"
+    html, found = re.subn(
+        "<h1>.*?</h1>", f"<h1>{'experiment_' * 5}of_a_name</h1>", crash.read_text()
+    )
+    assert found == 1
+    page.write_text(html)
+    with browser.Browser(400, 800) as opened:
+        opened.open(page.as_uri())
+        assert opened.value("document.documentElement.scrollWidth") <= 400
 
 
 def text(page, selector: str) -> str:
