@@ -1,6 +1,7 @@
 """The page in a real browser: what it shows, at three sizes, light and dark."""
 
 import io
+import json
 import shutil
 import subprocess
 import sys
@@ -113,6 +114,53 @@ def test_valves_are_drawn_as_they_opened(flown, browser, page_of):
         area = pixels(page, "#raster")
         for hue in ((0, 105, 180), (200, 84, 0), (0, 120, 95)):  # each vehicle in its colour
             assert near(area[:, 60:], hue) > 0.0005
+
+
+@pytest.mark.slow
+def test_eight_vehicles_leave_room_for_the_valves_and_differ_in_colour(flown, browser, page_of):
+    with browser.Browser(1366, 768) as page:
+        page.open(page_of(flown["three"]))
+        eventually(lambda: "not met" in text(page, "#head"), "the verdict is there")
+        eight = (
+            "Array.from({length: 8}, (_, k) => ({...picture.now.vehicles[0], name: `sat${k + 1}`}))"
+        )
+        page.value(f"tiles({eight})")
+        box = "(id => document.getElementById(id).getBoundingClientRect())"
+        assert page.value(f"{box}('raster').height") > 90
+        assert page.value(f"{box}('raster').bottom") < page.value(f"{box}('valves').bottom")
+        assert page.value(f"{box}('valves').bottom") < page.value(f"{box}('events').top")
+        assert page.value(f"{box}('events').bottom") <= 768
+        hues = page.value(
+            "JSON.stringify([...document.querySelectorAll('.tile h3 i')]"
+            ".map(one => getComputedStyle(one).backgroundColor))"
+        )
+        assert len(set(json.loads(hues))) == 8
+
+
+@pytest.mark.slow
+def test_a_long_name_is_cut_in_its_middle_beside_the_valves(flown, browser, page_of):
+    with browser.Browser(1366, 768) as page:
+        page.open(page_of(flown["three"]))
+        eventually(lambda: "not met" in text(page, "#head"), "the verdict is there")
+        pen = "document.getElementById('raster').getContext('2d')"
+        for name in ("sat1", "a_rather_long_name_of_a_sat1", "m" * 30 + "_2"):
+            words = page.value(f"fitting({pen}, '{name}', 120)")
+            assert page.value(f"{pen}.measureText('{words}').width") <= 120
+            assert words[-2:] == name[-2:]
+            assert words == name or "\N{HORIZONTAL ELLIPSIS}" in words
+
+
+@pytest.mark.slow
+def test_an_experiment_without_a_description_has_no_colon_after_its_law(flown, browser, page_of):
+    with browser.Browser(1366, 768) as page:
+        page.open(page_of(flown["three"]))
+        eventually(lambda: text(page, "#law").startswith("law sotsmc: zhang2023"), "its law")
+        page.value(
+            "(real => { ask = async (...words) =>"
+            " ({...await real(...words), description: ''}) })(ask)"
+        )
+        page.value("begin().then(() => 0)")
+        eventually(lambda: text(page, "#law") == "law sotsmc", "no colon")
 
 
 @pytest.mark.slow

@@ -53,7 +53,7 @@ async function begin() {
   top_view = new TopView($('top'), scene);
   raster = new Raster($('raster'), scene);
   $('name').textContent = scene.name;
-  $('law').textContent = `law ${scene.law}: ${scene.description}`;
+  $('law').textContent = `law ${scene.law}${scene.description && ': '}${scene.description}`;
   $('of').textContent = `of ${clock(scene.duration)}`;
   document.title = `${scene.name} - testbed console`;
   controls.begin(scene);
@@ -72,8 +72,8 @@ function take(news) {
       top_view.trail(news.trail, news.anew);
       top_view.draw(news.now);
       raster.take(news.pulses, news.anew, news.now);
+      tiles(news.now.vehicles); // the first ones leave less room for the raster
       raster.draw();
-      tiles(news.now.vehicles);
       $('clock').textContent = clock(news.now.t);
       $('progress').value = Math.min(1, news.now.t / scene.duration);
       $('valves-source').textContent = news.now.reported ? 'as the boards report' : 'as planned';
@@ -152,6 +152,7 @@ async function stop() {
 
 function tiles(vehicles) {
   const room = $('vehicles');
+  room.classList.toggle('many', vehicles.length > 6);
   vehicles.forEach((told, k) => {
     let one = room.children[k];
     if (!one) {

@@ -14,7 +14,18 @@ function make(kind, attributes, parent) {
   return one;
 }
 
-const hue = k => `--hue: var(--h${k % 6})`;
+const HUES = 8; // of console.css
+const hue = k => `--hue: var(--h${k % HUES})`;
+
+// A name that fits: its middle is left out, because vehicles often differ in their last letters
+function fitting(pen, name, room) {
+  for (let cut = 0; cut < name.length - 2; cut++) {
+    const kept = name.length - cut, head = Math.ceil(kept / 2);
+    const words = cut ? `${name.slice(0, head)}\u2026${name.slice(name.length - kept + head)}` : name;
+    if (pen.measureText(words).width <= room) return words;
+  }
+  return name.slice(-2);
+}
 
 class TopView {
   constructor(svg, scene) {
@@ -170,10 +181,13 @@ class Raster {
       canvas.width = Math.round(w * ratio);
       canvas.height = Math.round(h * ratio);
     }
-    const pen = canvas.getContext('2d'), left = 46, bottom = 16, colour = name => css.getPropertyValue(name).trim();
+    const pen = canvas.getContext('2d'), bottom = 16, colour = name => css.getPropertyValue(name).trim();
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, w, h);
     pen.font = '11px system-ui, Arial, sans-serif';
+    const widest = Math.max(...this.names.map(name => pen.measureText(name).width));
+    const left = Math.round(Math.max(46, Math.min(widest + 10, w / 5)));
+    const names = this.names.map(name => fitting(pen, name, left - 8));
     const gap = 5, total = this.rows.reduce((a, b) => a + b, 0);
     const step = (h - bottom - gap * this.rows.length) / Math.max(1, total);
     const at = t => left + (w - left - 4) * (1 - (this.t - t) / RASTER_S);
@@ -191,16 +205,16 @@ class Raster {
       tops.push(y);
       pen.fillStyle = colour('--grid');
       for (let jet = 0; jet < jets; jet++) pen.fillRect(left, y + (jet + 0.5) * step, w - left - 4, 0.5);
-      pen.fillStyle = colour(`--h${k % 6}`);
+      pen.fillStyle = colour(`--h${k % HUES}`);
       pen.fillRect(left - 5, y, 3, jets * step);
-      pen.fillText(this.names[k], 0, y + jets * step / 2 + 4, left - 8);
+      pen.fillText(names[k], 0, y + jets * step / 2 + 4);
       y += jets * step + gap;
     });
     const bars = [...this.pulses, ...(this.open || []).map(([v, j, from]) => [v, j, from, this.t])];
     for (const [vehicle, jet, from, until] of bars) {
       const a = Math.max(left, at(from)), b = Math.min(at(until), w - 4);
       if (b < left || a > w - 4) continue;
-      pen.fillStyle = colour(`--h${vehicle % 6}`);
+      pen.fillStyle = colour(`--h${vehicle % HUES}`);
       pen.fillRect(a, tops[vehicle] + jet * step + 0.5, Math.max(1, b - a), Math.max(1, step - 1));
     }
   }
