@@ -2,7 +2,7 @@
 
 The map has values on an even grid that spans the table, bilinear between (as `tilt.map` of a
 table file). A smoothness prior carries it to places between the paths; where no path was, the map
-is 0 and its uncertainty is that of the prior. Common thrust and delay are fitted with it: a
+is 0 and its uncertainty is that of the prior. The vehicle's numbers are fitted with it: a
 controller pushes against the slope, so either alone would be wrong.
 """
 
@@ -40,6 +40,8 @@ class Floor(NamedTuple):
     reach: float  # correlation length [m]
     p: Array  # numbers of the model
     model: VehicleModel
+    free: NDArray[np.int64]  # positions of those that were fitted
+    covariance: Array  # of these
 
 
 def learn_floor(
@@ -52,7 +54,7 @@ def learn_floor(
 
 
 def flat_fit(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[VehicleModel, Array]:
-    """Fit of common thrust and delay on a level table, for comparison."""
+    """Fit of the vehicle's numbers on a level table, for comparison."""
     windows = [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
     delay = look_at(logs, vehicle).delay
     floor = _fit(windows, vehicle, (1.0, 1.0), (0, 0), 1.0, delay)
@@ -65,7 +67,7 @@ def _fit(
 ) -> Floor:  # fmt: skip
     model = VehicleModel(vehicle, valves=isinstance(windows[0].log.inputs, Valves))
     model.prior[model.index("delay")] = max(0.0, delay - vehicle.command_delay_s)
-    free = model.of_groups(["thrust", "delay"])
+    free = model.of_groups(groups_of(model))
     p = model.prior.copy()
     nodes = shape[0] * shape[1]
     half = np.array(size) / 2.0
@@ -96,18 +98,42 @@ def _fit(
         if turn < TURNS - 1:
             scales = noise_of(pieces, scales)
     model.ground = model.ground._replace(map=heights.reshape(*shape, 2))
-    covariance = np.linalg.inv(matrix + precision)
+    covariance = _covariance(pieces, robust / level, matrix, precision)
     spread = np.sqrt(np.diag(covariance))[len(free) :].reshape(2, nodes).T
-    return Floor(size, heights.reshape(*shape, 2), spread.reshape(*shape, 2), reach, p, model)
+    own = covariance[: len(free), : len(free)]
+    found = heights.reshape(*shape, 2), spread.reshape(*shape, 2)
+    return Floor(size, *found, reach, p, model, free, own)
+
+
+def groups_of(model: VehicleModel) -> list[str]:
+    """The groups of numbers that are fitted with the map; the map takes the place of the slope.
+
+    Jets that differ from the file push like a slope where the vehicle keeps its heading.
+    """
+    if not model.valves:
+        return ["thrust", "delay"]
+    return [g for g in model.groups if g not in ("slope", "hold")]
+
+
+def _covariance(pieces: Sequence[Piece], weights: Array, matrix: Array, precision: Array) -> Array:
+    """Covariance that holds also where errors within a window go together.
+
+    Each window is one observation; never less than independent errors would give.
+    """
+    inverse = np.linalg.inv(matrix + precision)
+    pulls = np.array([w * q.slope.T @ q.error for w, q in zip(weights, pieces, strict=True)])
+    clustered = inverse @ (pulls.T @ pulls + precision) @ inverse
+    grow = np.sqrt(np.maximum(1.0, np.diag(clustered) / np.diag(inverse)))
+    return np.asarray(inverse * np.outer(grow, grow))
 
 
 def _precision(
     model: VehicleModel, free: NDArray[np.int64], size: tuple[float, float], shape: tuple[int, int],
     reach: float,
 ) -> Array:  # fmt: skip
-    """Inverse covariance of the prior: thrust and delay, then the map of x and of y."""
+    """Inverse covariance of the prior: the vehicle's numbers, then the map of x and of y."""
     sigma = model.sigma[free].copy()
-    sigma[:] = GAIN_SIGMA, DELAY_SIGMA
+    sigma[free == 0], sigma[free == model.index("delay")] = GAIN_SIGMA, DELAY_SIGMA
     nodes = shape[0] * shape[1]
     precision = np.zeros((len(free) + 2 * nodes,) * 2)
     precision[: len(free), : len(free)] = np.diag(1.0 / sigma**2)
@@ -127,7 +153,7 @@ def _node_weights(windows: Windows, half: Array, shape: tuple[int, int]) -> list
     """Displacement at each pose by a unit slope at each node, window by window, (m, nodes)."""
     rows, columns = shape
     found = []
-    for k, own in enumerate(windows.rows):
+    for own in windows.rows:
         t = windows.log.t[own]
         fine = np.arange(t[0], t[-1] + FINE, FINE)
         path = [np.interp(fine, t, windows.log.pose[own, axis]) for axis in (0, 1)]
@@ -143,8 +169,9 @@ def _node_weights(windows: Windows, half: Array, shape: tuple[int, int]) -> list
                 weights[at, (j + dj) * columns + i + di] += w
         speed = np.cumsum(weights, axis=0) * FINE
         way = np.cumsum(speed, axis=0) * FINE - 0.5 * FINE * speed
-        k = np.clip(np.round((t - t[0]) / FINE).astype(int), 0, len(fine) - 1)
-        found.append(way[k])
+        at = np.minimum((t - t[0]) / FINE, len(fine) - 1.001)
+        before, part = at.astype(int), (at % 1.0)[:, None]
+        found.append((1.0 - part) * way[before] + part * way[before + 1])
     return found
 
 
