@@ -20,18 +20,22 @@ from testbed.identification.calibration_file import report_of, save
 from testbed.identification.cameras import latency_of, seen_in_flight
 from testbed.identification.columns import LogRefusedError, digest, read_columns, read_sources
 from testbed.identification.excite import design, write_commands
-from testbed.identification.floor import flat_fit, learn_floor
 from testbed.identification.link import link_of
 from testbed.identification.mapping import load_mapping
-from testbed.identification.motion import RefusedError, calibrate_motion, doubts_about
+from testbed.identification.motion import (
+    RefusedError,
+    admitted,
+    calibrate_motion,
+    doubts_about,
+)
 from testbed.identification.motion_log import MotionLog, read_motion_log
 from testbed.identification.own_run import read_run_log
-from testbed.identification.slope_map import measured_map, with_map, write_slope_page
+from testbed.identification.slope_map import measured_map, write_slope_page
 from testbed.identification.table_file import load_table, write_table
 from testbed.identification.thrust_stand import thrust_of
 from testbed.identification.validation import validate
 from testbed.identification.validation_page import write_page
-from testbed.identification.vehicle_file import load_vehicle, write_vehicle
+from testbed.identification.vehicle_file import load_vehicle
 
 screen = Console(highlight=False, soft_wrap=True)
 steps = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -201,50 +205,6 @@ def _knows(vehicle: str, log: MotionLog) -> bool:
     return False
 
 
-def floor(
-    asked: Asked, vehicle: str, table: str | None, size: tuple[float, float] | None, nodes: int,
-    out: Path | None, vehicle_out: Path | None, drawn: Path | None, *, as_json: bool,
-) -> int:  # fmt: skip
-    """Learn the slope map; write it as a table file, its vehicle and a page."""
-    try:
-        logs = read_logs(asked)
-        own = load_vehicle(vehicle)
-        base = load_table(table) if table or asked[1] else table_of(*asked[:2])
-        named = load_mapping(asked[1]).table if asked[1] else None
-        span = size or named or base.size
-        found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
-        model, p = flat_fit(logs, own)
-        surface = with_map(base, found.slope, found.size)
-        origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
-        if out is not None:
-            write_table(out, surface, origin, today())
-        if vehicle_out is not None:
-            notes = {"mass": "fitted with the slope map", "valve.open_delay_s": "likewise"}
-            write_vehicle(vehicle_out, found.model.fitted(found.p), notes, origin, today())
-        if drawn is not None:
-            write_slope_page(drawn, "Slope learned from flights", surface, found.sigma)
-    except TestbedError as error:
-        return refused(error, as_json=as_json)
-    known = found.sigma.min(axis=2) < 0.5 * float(found.sigma.max())
-    result = {
-        "size_m": list(found.size), "nodes": nodes, "map": found.slope.tolist(),
-        "sigma": found.sigma.tolist(), "known_share": float(known.mean()),
-        "largest_m_s2": float(np_max(found.slope, known)), "reach_m": found.reach,
-        "thrust_or_mass": float(found.p[0]), "delay_s": float(found.p[found.model.index("delay")]),
-        "without_map": {"thrust_or_mass": float(p[0]), "delay_s": float(p[model.index("delay")])},
-        "out": None if out is None else str(out),
-    }  # fmt: skip
-    if as_json:
-        print_json(result)
-        return OK
-    say(
-        screen,
-        f"slope map of {nodes} x {nodes} nodes; {100 * result['known_share']:.0f} % of them are"
-        f" told by the logs, at most {1e3 * result['largest_m_s2']:.1f} mm/s^2 there",
-    )
-    return OK
-
-
 def slope(
     path: Path, columns: tuple[str, str, str, str], unit: str, out: Path | None,
     drawn: Path | None, *, as_json: bool,
@@ -273,11 +233,6 @@ def slope(
     return OK
 
 
-def np_max(slope: Any, known: Any) -> float:
-    """Largest slope at known nodes [m/s^2]."""
-    return float(abs(slope[known]).max()) if known.any() else 0.0
-
-
 def thrust(paths: Sequence[Path], columns: tuple[str, str, str], unit: str, as_json: bool) -> int:
     """Thrust of each stand log."""
     rows = []
@@ -303,7 +258,7 @@ def thrust(paths: Sequence[Path], columns: tuple[str, str, str], unit: str, as_j
 
 def mocap(
     path: Path, mapping: str | None, vehicle: str | None, columns: tuple[str, str, str],
-    camera: str, as_json: bool,
+    camera: str, *, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Latency from a marker on a known angle; or noise, axes and body offset from a flight."""
     try:
@@ -320,9 +275,12 @@ def mocap(
         else:
             if vehicle is None:
                 raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
-            result = seen_in_flight(
-                read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
-            )
+            log, own = read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
+            doubts = admitted([log], own, vehicles_of(([path], mapping, None, None, None)),
+                              force=force)  # fmt: skip
+            result = seen_in_flight(log, own)
+            if not as_json:
+                warn([f"{one.name}: {one.text}" for one in doubts])
     except TestbedError as error:
         return refused(error, as_json=as_json)
     if as_json:

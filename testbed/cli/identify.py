@@ -67,20 +67,21 @@ def motion(
 @click.option("--out", type=OUT, help="Write the table with its slope map to this file.")
 @click.option("--vehicle-out", type=OUT, help="Write the vehicle that was fitted with it.")
 @click.option("--page", type=OUT, help="Write an HTML page with the map.")
+@click.option("--force", is_flag=True, help="Fit in spite of a suspicion.")
 @click.pass_context
 def floor(
     context: click.Context, logs: tuple[Path, ...], mapping: str | None, body: str | None,
     vehicle: str, since: float | None, until: float | None, as_json: bool, table: str | None,
     size: tuple[float, float] | None, nodes: int, out: Path | None, vehicle_out: Path | None,
-    page: Path | None,
+    page: Path | None, force: bool,
 ) -> None:  # fmt: skip
     """Learn the slope map of a table from LOGS of flights."""
-    from testbed.cli import calibrate as work
+    from testbed.cli import learn_floor as work
 
     context.exit(
         work.floor(
             (logs, mapping, body, since, until), vehicle, table, size, nodes, out, vehicle_out,
-            page, as_json=as_json,
+            page, force=force, as_json=as_json,
         )
     )  # fmt: skip
 
@@ -133,11 +134,12 @@ def thrust(
 @click.option("--camera", default="camera", show_default=True, help="Name of the camera there.")
 @click.option("--mapping", help="Noise, axes and body offset from a flight: its mapping.")
 @click.option("--vehicle", help="The vehicle of that flight.")
+@click.option("--force", is_flag=True, help="Measure in spite of a suspicion about that flight.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 @click.pass_context
 def mocap(
     context: click.Context, log: Path, time: str, value: str, source: str, camera: str,
-    mapping: str | None, vehicle: str | None, as_json: bool,
+    mapping: str | None, vehicle: str | None, as_json: bool, force: bool,
 ) -> None:  # fmt: skip
     """Measure the cameras.
 
@@ -145,7 +147,8 @@ def mocap(
     """
     from testbed.cli import calibrate as work
 
-    context.exit(work.mocap(log, mapping, vehicle, (source, time, value), camera, as_json))
+    columns = (source, time, value)
+    context.exit(work.mocap(log, mapping, vehicle, columns, camera, force=force, as_json=as_json))
 
 
 @calibrate.command()

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from testbed.identification.floor import Array, Floor
 from testbed.identification.model import VehicleModel
-from testbed.identification.motion import Calibration, identifiable, interval, thrusts
+from testbed.identification.motion import SURE, Calibration, identifiable, interval, thrusts
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.vehicle_file import write_vehicle
 
@@ -108,6 +109,34 @@ def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: 
     slope = [p[c.model.index(axis)] for axis in ("slope_x", "slope_y")]
     origin.append(f"slope of the table in these logs: {slope[0]:.5f}, {slope[1]:.5f} m/s^2")
     write_vehicle(path, c.vehicle, notes, origin, day)
+
+
+def save_with_map(path: Path, found: Floor, name: str, origin: list[str], day: date) -> None:
+    """Write the vehicle that was fitted with a slope map, with the origin of each number."""
+    model, free = found.model, list(found.free)
+    notes: dict[str, str] = {}
+
+    def reach(value: float, slope: Array, least: float = 0.0) -> str:
+        wide = SURE * float(np.sqrt(slope @ found.covariance @ slope))
+        return f"{max(least, value - wide):.4g} to {value + wide:.4g}"
+
+    for k, own in enumerate(model.parameters):
+        place = PLACES.get(own.name)
+        if place is not None and k in free:
+            factor = _factor(model, own.name)
+            slope = np.where(found.free == k, factor, 0.0)
+            text = reach(factor * float(found.p[k]), slope, factor * own.least)
+            notes[place] = _add(notes.get(place), f"{own.name}: fitted with the slope map, {text}")
+    for k, jet in enumerate(model.vehicle.jets if model.valves else []):
+        slope = np.zeros(len(free))
+        slope[free.index(0)], slope[free.index(1 + k)] = found.p[1 + k], found.p[0]
+        value = jet.thrust * float(model.thrust(found.p)[k])
+        notes[f"jets.{k}"] = f"fitted with the slope map, {reach(value, jet.thrust * slope)} N"
+    if model.valves:
+        notes["mass"] = f"as in {name}: only thrust over mass is identifiable"
+    notes["valve.close_delay_s"] = f"open_delay_s, and the difference of {name}"
+    origin = [*origin, f"values that were not fitted: vehicle {name}"]
+    write_vehicle(path, model.fitted(found.p), notes, origin, day, "calibrate floor")
 
 
 PLACES = {

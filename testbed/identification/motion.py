@@ -228,6 +228,21 @@ def doubts_about(
         return []  # hardly excited
 
 
+def admitted(
+    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle], *, force: bool
+) -> list[Suspicion]:
+    """As `doubts_about`, for verbs that refuse what `calibrate_motion` refuses.
+
+    Raises:
+        RefusedError: a suspicion forbids a fit, and it is not forced.
+    """
+    doubts = doubts_about(logs, vehicle, others)
+    refusing = [one for one in doubts if one.refuses]
+    if refusing and not force:
+        raise RefusedError(refusing, ", ".join(log.where for log in logs))
+    return doubts
+
+
 def _windows(logs: Sequence[MotionLog]) -> list[Windows]:
     return [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
 

@@ -1,8 +1,14 @@
 """A slope map is right also where the vehicle file is not, and its uncertainty is honest."""
 
+import json
+from datetime import date
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from testbed.cli.main import main
+from testbed.identification.calibration_file import save_with_map
 from testbed.identification.floor import learn_floor
 
 
@@ -24,3 +30,30 @@ def test_the_vehicle_of_a_slope_map_has_its_own_jets(learned, flight):
     own = learned.model.fitted(learned.p)
     for jet, true in zip(own.jets, flight[0].jets, strict=True):
         assert jet.thrust == pytest.approx(true.thrust, rel=0.02)
+
+
+def test_the_file_of_a_slope_map_says_where_its_numbers_come_from(learned, tmp_path):
+    path = tmp_path / "own.toml"
+    save_with_map(path, learned, "generic_8jet", ["log.csv"], date(2026, 1, 1))
+    text = path.read_text()
+    assert "`testbed calibrate floor`" in text
+    mass = next(line for line in text.splitlines() if line.startswith("mass = "))
+    assert "only thrust over mass" in mass
+    jets = [line for line in text.splitlines() if "thrust =" in line and "push" in line]
+    assert all("fitted with the slope map, 0." in line for line in jets)
+
+
+@pytest.mark.parametrize("verb", ["floor", "mocap"])
+def test_what_motion_refuses_is_refused(files, tmp_path, verb):
+    mapping, _, write = files
+    swapped = ["t_s", "y_m", "x_m", "theta_rad", *(f"duty_{k + 1}" for k in range(8))]
+    log, out = write(f"swapped_{verb}.csv", head=swapped), tmp_path / "table.toml"
+    words = ["calibrate", verb, log, "--mapping", mapping, "--vehicle", "generic_8jet", "--json"]
+    words += ["--out", out, "--nodes", 3] * (verb == "floor")
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 2
+    assert [one["name"] for one in json.loads(result.stdout)["suspicions"]] == ["axes-swapped"]
+    assert not out.exists()
+    if verb == "mocap":
+        result = CliRunner().invoke(main, [str(word) for word in [*words, "--force"]])
+        assert result.exit_code == 0
