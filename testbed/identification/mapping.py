@@ -55,6 +55,7 @@ class ValveColumns(Struct, frozen=True, forbid_unknown_fields=True):
     period_s: Positive  # a command is taken once per period and lasts for it
     kind: Literal["state", "duty", "us"] = "state"  # 0/1, share of the period, or open time [us]
     opens: Literal["first", "unknown"] = "first"  # when in its period: at its start, or not known
+    phase_s: float | None = None  # a period starts at this time and at whole periods from it
 
 
 class WrenchColumns(Struct, frozen=True, forbid_unknown_fields=True):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError, NumericColumns, digest, read_columns
+from testbed.identification.command_periods import periods
 from testbed.identification.frame_queue import frame_times
 from testbed.identification.mapping import METRES, RADIANS, SECONDS, Mapping
 from testbed.identification.prediction import Inputs, Wrenches, pulses, shares
@@ -49,12 +50,12 @@ def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
     t = columns.whole(mapping.time.column) * SECONDS[mapping.time.unit]
     check_clock(t, str(path), mapping)
     pose, measured = _poses(columns, mapping)
-    inputs = _inputs(columns, mapping, t, pose)
+    inputs, unsure = _inputs(columns, mapping, t)
     usable = np.ones(len(t), dtype=bool)
     for name, values in mapping.use.items():
         usable &= np.isin(columns[name], values)
     kept = measured & usable
-    notes = gaps(t)
+    notes = gaps(t) + unsure
     if kept.sum() < FEWEST_POSES:
         raise LogRefusedError(
             where=str(path),
@@ -142,12 +143,12 @@ def _heading(columns: NumericColumns, names: tuple[str, ...]) -> Array:
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
-def _inputs(columns: NumericColumns, mapping: Mapping, t: Array, pose: Array) -> Inputs:
+def _inputs(columns: NumericColumns, mapping: Mapping, t: Array) -> tuple[Inputs, list[str]]:
     if mapping.wrench:
         own = mapping.wrench
         tau = columns.whole(own.tau) if own.tau else np.zeros(len(t))
         wrench = np.stack([columns.whole(own.fx), columns.whole(own.fy), tau], axis=1)
-        return Wrenches(t, wrench, own.frame == "table")
+        return Wrenches(t, wrench, own.frame == "table"), []
     valves = mapping.valves
     assert valves is not None  # load_mapping: one of the two
     share = np.stack([columns.whole(name) for name in valves.columns], axis=1)
@@ -163,15 +164,6 @@ def _inputs(columns: NumericColumns, mapping: Mapping, t: Array, pose: Array) ->
                 found=f"{column.min():g} to {column.max():g}",
                 hint="a share in percent, or an open time: see `kind` of the mapping",
             )  # fmt: skip
-    # a command is taken once per period, at the first row of it
-    turn = np.floor((t - t[0]) / valves.period_s + 1e-3 + _phase(t, valves.period_s))
-    taken = np.append(True, np.diff(turn) > 0)
-    if np.median(np.diff(t)) > 0.75 * valves.period_s:
-        taken[:] = True
     made = shares if valves.opens == "unknown" else pulses
-    return made(t[taken], np.minimum(share[taken], 1.0), valves.period_s)
-
-
-def _phase(t: Array, period: float) -> float:
-    """Phase of the first row in the period, if periods start at whole multiples of it."""
-    return float(t[0] / period % 1.0)
+    start, taken, note = periods(t, share, valves.period_s, valves.phase_s)
+    return made(start, np.minimum(share[taken], 1.0), valves.period_s), note
