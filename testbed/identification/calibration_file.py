@@ -13,6 +13,8 @@ from testbed.identification.motion import SURE, Calibration, identifiable, inter
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.vehicle_file import write_vehicle
 
+CUT = "0, because no delay is negative"
+
 
 def report_of(c: Calibration, name: str, logs: Sequence[MotionLog]) -> dict[str, Any]:
     """The calibration for --json."""
@@ -93,6 +95,8 @@ def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: 
             text = f"as in {name}; these logs: {low:.4g} to {high:.4g}"
         else:
             text = f"as in {name}, not identifiable"
+        if own.name == "delay" and c.estimate.p[k] < 0.0:
+            text = f"{CUT}; {text}"
         notes[place] = _add(notes.get(place), f"{own.name}: {text}")
     if c.model.valves:
         notes["mass"] = f"as in {name}: only thrust over mass is identifiable"
@@ -126,7 +130,9 @@ def save_with_map(path: Path, found: Floor, name: str, origin: list[str], day: d
             factor = _factor(model, own.name)
             slope = np.where(found.free == k, factor, 0.0)
             text = reach(factor * float(found.p[k]), slope, factor * own.least)
-            notes[place] = _add(notes.get(place), f"{own.name}: fitted with the slope map, {text}")
+            cut = f"{CUT}; " if own.name == "delay" and found.p[k] < 0.0 else ""
+            text = f"{own.name}: {cut}fitted with the slope map, {text}"
+            notes[place] = _add(notes.get(place), text)
     for k, jet in enumerate(model.vehicle.jets if model.valves else []):
         slope = np.zeros(len(free))
         slope[free.index(0)], slope[free.index(1 + k)] = found.p[1 + k], found.p[0]

@@ -26,6 +26,7 @@ FEWEST_WINDOWS = 3
 IDENTIFIABLE = (
     0.6  # standard deviation over that of the prior: above, the log does not tell the number
 )
+EARLY = 1e-3  # [s] before the command: a delay that is warned of
 SURE = 1.96  # standard deviations of a 95 % interval
 
 
@@ -121,7 +122,22 @@ def _calibrated(
     progress("hold what the logs do not tell")
     found = Calibration(vehicle, model, estimate, wide, chosen, gains, jets, doubts, windows, [])
     found = _settled(found)
+    found = found._replace(suspicions=[*found.suspicions, *_too_early(found)])
     return found._replace(vehicle=model.fitted(found.estimate.p))
+
+
+def _too_early(c: Calibration) -> list[Suspicion]:
+    """A delay that no vehicle can have."""
+    late = float(c.estimate.p[c.model.index("delay")])
+    if late > -EARLY:
+        return []
+    causes = ["a wrong `latency_s` of [pose]", "poses and commands with the times of two clocks"]
+    if c.model.valves:
+        causes.insert(0, "a wrong `period_s` or `phase_s` of [valves]")
+    if c.model.vehicle.command_delay_s > 0.0:
+        causes.append("a `command_delay_s` of the vehicle file that is too long")
+    text = f"the vehicle moves {-1e3 * late:.3g} ms before its valves open, the file gets 0 ms:"
+    return [Suspicion("negative-delay", f"{text} {', or '.join(causes)}", refuses=False)]
 
 
 def _settled(c: Calibration) -> Calibration:
@@ -292,23 +308,27 @@ def identifiable(calibration: Calibration, k: int) -> bool:
     """Whether the logs tell the number `k` of the model."""
     c = calibration
     told = k in c.wide.free and k not in c.held
-    reach = c.wide.sigma[k]
-    if k == 0:  # trades with droop: telling it means that the choice of groups changes little
-        reach = np.hypot(reach, c.wide.p[0] - c.estimate.p[0])
-    return bool(told and reach < IDENTIFIABLE * c.model.sigma[k])
+    always = c.model.parameters[k].group in ("delay", "slope")  # a fit needs these
+    far = c.wide.sigma[k] if always else reach(c, k)
+    return bool(told and far < IDENTIFIABLE * c.model.sigma[k])
+
+
+def reach(calibration: Calibration, k: int) -> float:
+    """Standard deviation of the number `k`: that of the fit of all groups, or of the chosen ones.
+
+    It is widened by what the choice of groups changed.
+    """
+    c = calibration
+    sigma = max(c.wide.sigma[k], c.estimate.sigma[k] if k in c.estimate.free else 0.0)
+    return float(np.hypot(sigma, c.estimate.p[k] - c.wide.p[k]))
 
 
 def interval(calibration: Calibration, k: int) -> tuple[float, float]:
-    """95 % interval of the number `k`.
-
-    It is that of the fit of all groups, widened by what the choice of groups changed.
-    """
+    """95 % interval of the number `k`, see `reach`."""
     c = calibration
     own: Parameter = c.model.parameters[k]
-    value, wide = c.estimate.p[k], c.wide.p[k]
-    sigma = max(c.wide.sigma[k], c.estimate.sigma[k] if k in c.estimate.free else 0.0)
-    reach = SURE * float(np.hypot(sigma, value - wide))
-    return float(max(own.least, value - reach)), float(value + reach)
+    value, far = c.estimate.p[k], SURE * reach(c, k)
+    return float(max(own.least, value - far)), float(value + far)
 
 
 def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
@@ -326,11 +346,11 @@ def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
         sigma = float(np.hypot(sigma, c.model.thrust(p)[j] - c.model.thrust(c.estimate.p)[j]))
         nominal = c.model.vehicle.jets[j].thrust
         value = float(nominal * c.model.thrust(c.estimate.p)[j])
-        reach = SURE * sigma * nominal
+        far = SURE * sigma * nominal
         found = c.jets[j]
         rows.append({
-            "jet": j + 1, "thrust_n": value, "low_n": max(0.0, value - reach),
-            "high_n": value + reach, "file_n": nominal, "state": found.state,
+            "jet": j + 1, "thrust_n": value, "low_n": max(0.0, value - far),
+            "high_n": value + far, "file_n": nominal, "state": found.state,
             "exchanged_with": found.other + 1 if found.other >= 0 else None,
             "identifiable": found.state in ("dead", "weak")
             or bool(found.state != "not excited" and sigma < IDENTIFIABLE * own),

@@ -10,7 +10,7 @@ from testbed.config.tree import read_toml
 from testbed.identification.calibration_file import report_of, save
 from testbed.identification.jets import examine
 from testbed.identification.model import VehicleModel
-from testbed.identification.motion import _certain, calibrate_motion, thrusts
+from testbed.identification.motion import _certain, calibrate_motion, identifiable, thrusts
 from testbed.identification.prediction import Valves
 from testbed.identification.suspicion import start_of
 from testbed.identification.synthetic import excitation, flown_log
@@ -84,3 +84,23 @@ def test_a_comment_as_in_the_file_is_true(quiet, tmp_path):
         if "as in generic_8jet" in line and "common" not in line:
             assert now["thrust"] == pytest.approx(before.thrust, rel=1e-5), line
     assert "as in generic_8jet, not identifiable" in text
+
+
+def test_a_number_is_identifiable_by_its_printed_interval(flight, floater):
+    found = calibrate_motion([flight[1]], floater)
+    k = found.model.index("com_y")
+    assert identifiable(found, k)
+    wide = found.wide._replace(p=found.wide.p.copy())
+    wide.p[k] += 0.016  # the choice of groups moved it far: the interval is wide
+    assert not identifiable(found._replace(wide=wide), k)
+
+
+def test_a_negative_delay_is_named_and_its_comment_true(flight, floater, tmp_path):
+    log = flight[1]
+    early = log._replace(t=log.t - 0.06)
+    found = calibrate_motion([early], floater)
+    assert [one.name for one in found.suspicions if not one.refuses] == ["negative-delay"]
+    path = tmp_path / "own.toml"
+    save(path, found, "generic_8jet", [early], date(2026, 1, 1))
+    line = next(one for one in path.read_text().splitlines() if one.startswith("open_delay_s"))
+    assert line.startswith("open_delay_s = 0.0  # delay: 0, because no delay is negative")
