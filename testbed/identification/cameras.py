@@ -22,6 +22,7 @@ from testbed.identification.windows import tiled
 
 Array = NDArray[np.float64]
 LONGEST = 1.0  # [s] latency
+SLOWEST = 2.0  # [s] between two samples of a camera
 
 
 def latency_of(
@@ -29,9 +30,25 @@ def latency_of(
 ) -> dict[str, Any]:
     """Latency of the camera, gain and offset between the two, and noise; any unit of angle.
 
+    Samples without a number are left out.
+
     Raises:
-        LogRefusedError: the angle does not change enough, or the sources do not overlap.
+        LogRefusedError: the angle does not change enough, the sources do not overlap, or the
+            latency is not that of a camera.
     """
+    (truth_t, truth), (camera_t, camera) = _known(truth_t, truth), _known(camera_t, camera)
+    for name, stamps in (("truth", truth_t), ("camera", camera_t)):
+        if len(stamps) < 20 or np.any(np.diff(stamps) < 0.0):
+            raise LogRefusedError(
+                where=where, expected=f"20 samples of the {name} or more, in the order of time",
+                found=f"{len(stamps)}" if len(stamps) < 20 else "a time before that of the last",
+            )  # fmt: skip
+    usual = float(np.median(np.diff(camera_t)))
+    if usual > SLOWEST:
+        raise LogRefusedError(
+            where=where, expected=f"camera samples up to {SLOWEST:g} s apart",
+            found=f"{usual:.4g} s", hint="times are in s; 1000 times off means ms",
+        )  # fmt: skip
     start, end = truth_t[0] + LONGEST, min(truth_t[-1], camera_t[-1])
     inside = (camera_t >= start) & (camera_t <= end)
     if inside.sum() < 20:
@@ -65,11 +82,24 @@ def latency_of(
             where=where, expected="an angle that both sources see moving",
             found="no common motion: the latency is not identifiable",
         )  # fmt: skip
+    late, reach = float(fit.x[0]), 1.96 * sigma
+    if not -reach <= late <= LONGEST - 0.01:
+        raise LogRefusedError(
+            where=where, expected=f"a latency of 0 to {LONGEST:g} s", found=f"{late:.4g} s",
+            hint="the camera sees no motion before it happens: are the sources exchanged"
+            " (--camera), or their times of two clocks?" if late < 0.0
+            else "are the times of two clocks? They are in s",
+        )  # fmt: skip
     return {
-        "latency_s": float(fit.x[0]), "low_s": float(fit.x[0] - 1.96 * sigma),
-        "high_s": float(fit.x[0] + 1.96 * sigma), "gain": float(fit.x[1]),
+        "latency_s": late, "low_s": late - reach, "high_s": late + reach, "gain": float(fit.x[1]),
         "offset": float(fit.x[2]), "noise": noise, "residual_rms": spread, "samples": len(t),
     }  # fmt: skip
+
+
+def _known(t: Array, values: Array) -> tuple[Array, Array]:
+    """The samples that have both numbers."""
+    known = np.isfinite(t) & np.isfinite(values)
+    return t[known], values[known]
 
 
 def seen_in_flight(log: MotionLog, vehicle: Vehicle) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.identification.csv_log import read_csv
+from testbed.identification.csv_log import read_csv, read_rows
 from testbed.identification.refused import LogRefusedError as LogRefusedError
 from testbed.identification.refused import NumericColumns as NumericColumns
 
@@ -41,9 +41,9 @@ def read_columns(
             raise LogRefusedError(where=str(path), expected="a log", found="no such file")
         if path.stat().st_size > LARGEST:
             raise LogRefusedError(where=str(path), expected="at most 2 GB", found="a larger file")
-        if path.suffix == ".mat":
+        if path.suffix.lower() == ".mat":
             return NumericColumns(str(path), _chosen(_read_mat(path), chosen or {}))
-        if path.suffix == ".mcap":
+        if path.suffix.lower() == ".mcap":
             found = _read_mcap(path, set(wanted or ()), topic)
             return NumericColumns(str(path), _chosen(found, chosen or {}))
         needed = None if wanted is None else set(wanted)
@@ -57,24 +57,29 @@ def read_columns(
 def read_sources(path: Path, source: str, time: str, value: str) -> dict[str, Array]:
     """A CSV with one row per sample of several sources: (t, value) of each by its name.
 
+    An empty value is NaN.
+
     Raises:
         LogRefusedError: it has other columns, or holds something else than numbers.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        names, rows = read_rows(path, {time, value})
+    except (OSError, EOFError, UnicodeDecodeError, csv.Error, ValueError) as error:
         raise LogRefusedError(where=str(path), expected="a CSV", found=str(error)) from None
+    columns = NumericColumns(str(path), dict.fromkeys(names, np.zeros(0)))
+    for name in (source, time, value):
+        columns[name]  # refuses a missing one
+    which, *numbers = (names.index(name) for name in (source, time, value))
     found: dict[str, list[tuple[float, float]]] = {}
-    for number, row in enumerate(rows, 1):
+    for number, row in rows:
         try:
-            found.setdefault(row[source], []).append((float(row[time]), float(row[value])))
-        except (KeyError, TypeError, ValueError) as error:
+            t, y = (float(row[k]) if row[k].strip() else np.nan for k in numbers)
+        except ValueError as error:
             raise LogRefusedError(
                 where=f"{path}, data row {number}",
-                expected=f"columns {source}, {time}, {value}; the last two are numbers",
-                found=str(error),
-            ) from None
+                expected=f"numbers in the columns {time}, {value}", found=str(error),
+            ) from None  # fmt: skip
+        found.setdefault(row[which].strip(), []).append((t, y))
     return {name: np.array(samples) for name, samples in found.items()}
 
 

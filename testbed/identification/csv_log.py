@@ -14,6 +14,8 @@ from testbed.identification.refused import LogRefusedError, NumericColumns
 Array = NDArray[np.float64]
 Row = tuple[int, list[str]]  # number of a data row, from 1, and its cells
 GROUPED = re.compile(r"[-+]?\d{1,3}([,' ]\d{3})+(\.\d+)?|[-+]?\d+,\d+")
+COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?|[-+]?\d+,")  # a number with a decimal comma
+POINT = re.compile(r"[-+]?[\d,' ]*\.\d*([eE][-+]?\d+)?")  # a number with a decimal point
 GZIP, ZIP, UTF_16 = b"\x1f\x8b", b"PK\x03\x04", (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -27,26 +29,7 @@ def read_csv(
         wanted: columns that must hold numbers; None: all.
         chosen: only rows with one of these values in a column are read.
     """
-    lines = [line for line in _text(path).splitlines() if line.strip()]
-    while lines and lines[0].startswith(("#", "%")):
-        lines.pop(0)
-    head = lines.pop(0) if lines else ""
-    mark = max(",;\t", key=head.count)
-    if mark != "," and not any("." in line for line in lines):
-        lines = [line.replace(",", ".") for line in lines]  # decimal commas
-    names = [name.strip() for name in next(csv.reader([head], delimiter=mark), [])]
-    rows = list(enumerate((row for row in csv.reader(lines, delimiter=mark) if row), 1))
-    if twice := sorted({n for n in names if names.count(n) > 1}):
-        found = f"two columns {twice[0]!r}"
-        raise LogRefusedError(where=str(path), expected="one column of each name", found=found)
-    for number, row in rows:
-        if len(row) != len(names):
-            raise LogRefusedError(
-                where=f"{path}, data row {number}",
-                expected=f"{len(names)} values as in the head",
-                found=f"{len(row)}",
-                hint="a file cut off, or numbers with a comma inside (1,234 or 0,5)",
-            )
+    names, rows = read_rows(path, None if wanted is None else wanted.union(chosen))
     for name, values in chosen.items():
         if name not in names:
             NumericColumns(str(path), dict.fromkeys(names, np.zeros(0)))[name]
@@ -61,6 +44,45 @@ def read_csv(
         for k, name in enumerate(names)
         if name
     }
+
+
+def read_rows(path: Path, wanted: set[str] | None) -> tuple[list[str], list[Row]]:
+    """Names of the columns, and the rows below; decimal commas of `wanted` columns are points.
+
+    Raises:
+        LogRefusedError: a row has another length, or two columns have one name.
+    """
+    lines = [line for line in _text(path).splitlines() if line.strip()]
+    while lines and lines[0].startswith(("#", "%")):
+        lines.pop(0)
+    head = lines.pop(0) if lines else ""
+    mark = max(",;\t", key=head.count)
+    names = [name.strip() for name in next(csv.reader([head], delimiter=mark), [])]
+    rows = list(enumerate((row for row in csv.reader(lines, delimiter=mark) if row), 1))
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        found = f"two columns {twice[0]!r}"
+        raise LogRefusedError(where=str(path), expected="one column of each name", found=found)
+    for number, row in rows:
+        if len(row) != len(names):
+            raise LogRefusedError(
+                where=f"{path}, data row {number}",
+                expected=f"{len(names)} values as in the head",
+                found=f"{len(row)}",
+                hint="a file cut off, or numbers with a comma inside (1,234 or 0,5)",
+            )
+    if mark != ",":
+        _with_points(rows, [k for k, name in enumerate(names) if not wanted or name in wanted])
+    return names, rows
+
+
+def _with_points(rows: Sequence[Row], columns: Sequence[int]) -> None:
+    """Decimal commas of these columns become points, if no number there has a point."""
+    if any(POINT.fullmatch(cells[k].strip()) for _, cells in rows for k in columns):
+        return
+    for _, cells in rows:
+        for k in columns:
+            if COMMA.fullmatch(cells[k].strip()):
+                cells[k] = cells[k].replace(",", ".")
 
 
 def _text(path: Path) -> str:

@@ -4,6 +4,7 @@ import numpy as np
 
 from testbed.identification.columns import LogRefusedError, NumericColumns
 
+LONGEST = 2.0  # [s] delay of a link
 BURSTS = 2.0  # a loss is this many times likelier after a loss: losses come in bursts
 
 
@@ -29,7 +30,14 @@ def link_of(columns: NumericColumns, sent: str, received: str) -> dict[str, floa
         raise LogRefusedError(
             where=columns.where, expected="arrival after sending",
             found=f"{delay.min():.4g} s",
-            hint="the stamps are of two clocks; subtract their offset first",
+            hint="the stamps are of two clocks: subtract their offset first;"
+            " or a lost message has a number: leave its arrival empty",
+        )  # fmt: skip
+    usual = float(np.median(delay))
+    if usual > LONGEST:
+        raise LogRefusedError(
+            where=columns.where, expected=f"delays of up to {LONGEST:g} s", found=f"{usual:.4g} s",
+            hint="times are in s; 1000 times off means ms, or the stamps are of two clocks",
         )  # fmt: skip
     least = float(np.quantile(delay, 0.01))
     lost = ~came

@@ -42,6 +42,16 @@ def measured_map(columns: NumericColumns, names: tuple[str, str, str, str], unit
         )  # fmt: skip
     grid = np.zeros((*shape, 2))
     at = np.searchsorted(places[1], np.round(y, 6)), np.searchsorted(places[0], np.round(x, 6))
+    rows = np.zeros(shape, dtype=int)
+    np.add.at(rows, at, 1)
+    if not rows.all():
+        j, i = np.argwhere(rows == 0)[0]
+        first = int(np.argmax(rows[at] > 1)) + 1
+        raise LogRefusedError(
+            where=columns.where, expected="one row per node",
+            found=f"no row at ({places[0][i]:g}, {places[1][j]:g}), two at"
+            f" ({x[first - 1]:g}, {y[first - 1]:g}), one of them is data row {first}",
+        )  # fmt: skip
     for axis, slope in enumerate(slopes):
         grid[(*at, axis)] = slope * ACCELERATIONS[unit]
     if np.abs(grid).max() > STEEPEST:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from testbed.identification.columns import LogRefusedError, NumericColumns
 
@@ -55,7 +56,7 @@ def thrust_of(
             where=columns.where, expected=f"a thrust below {HUGE:g} N", found=f"{mean:.4g} N",
             hint="is the unit of the reading right (--unit)?",
         )  # fmt: skip
-    reach = float(1.96 * spread / np.sqrt(len(force_n)))
+    reach = float(stdtrit(len(force_n) - 1, 0.975) * spread / np.sqrt(len(force_n)))
     third = max(1, len(force_n) // 3)
     return {
         "thrust_n": abs(mean), "low_n": abs(mean) - reach, "high_n": abs(mean) + reach,

@@ -115,3 +115,80 @@ def test_an_uneven_slope_map_is_refused(tmp_path):
     code, found = run("calibrate", "slope", path, "--ax", "ax", "--ay", "ay", "--json")
     assert code == 2
     assert "even grid" in found["expected"]
+
+
+def test_a_doubled_row_of_a_slope_map_names_the_missing_node(tmp_path):
+    path = slopes(tmp_path / "map.csv", (-2, 0, 2))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:-1], lines[1]]))
+    code, found = run("calibrate", "slope", path, "--ax", "ax", "--ay", "ay", "--json")
+    assert code == 2
+    assert "no row at (2, 1), two at (-2, -1)" in found["found"]
+
+
+def test_few_pulses_have_a_wide_interval(tmp_path):
+    t = np.arange(0.0, 34.0, 0.05)
+    on = t % 14.0 >= 6.0
+    level = np.where(t < 14.0, 0.340, 0.350)
+    rows = [f"{a:.3f},{b:.6f},{int(c)}" for a, b, c in zip(t, level * on, on, strict=True)]
+    path = tmp_path / "stand.csv"
+    path.write_text("\n".join(["t_s,weight_g,bitmask", *rows]))
+    code, found = run("calibrate", "thrust", path, "--unit", "N", "--json")
+    assert code == 0
+    (jet,) = found["jets"]
+    assert jet["pulses"] == 2
+    assert jet["high_n"] - jet["thrust_n"] == pytest.approx(12.706 * 0.005, rel=1e-3)
+
+
+def marker(path, late=0.047, unit=1.0, missing=0, write=str.encode):
+    """An encoder and a camera that sees its angle `late` [s]."""
+
+    def angle(t):
+        return 30.0 * np.sin(1.3 * t) + 9.0 * np.sin(3.1 * t + 1.0)
+
+    encoder, camera = np.arange(0.0, 30.0, 0.01), np.arange(0.004, 30.0, 1.0 / 60.0)
+    samples = [("encoder", t, angle(t)) for t in encoder]
+    samples += [("camera", t, angle(t - late) + 2.0) for t in camera]
+    rows = [f"{name},{unit * t:.5f},{a:.4f}" for name, t, a in samples]
+    for k in range(missing):
+        rows[-1 - 50 * k] = rows[-1 - 50 * k].rsplit(",", 1)[0] + ",NaN"
+    path.write_bytes(write("\n".join(["source,t_s,angle_deg", *rows])))
+    return path
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda text: text.encode("utf-16"),
+        lambda text: text.replace(",", ";").replace(".", ",").encode(),
+    ],
+)
+def test_a_latency_log_may_be_written_otherwise_and_have_gaps(tmp_path, write):
+    path = marker(tmp_path / "m.csv", missing=9, write=write)
+    code, found = run("calibrate", "mocap", path, "--json")
+    assert code == 0
+    assert found["latency_s"] == pytest.approx(0.047, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        ({"late": -0.03}, "exchanged"),
+        ({"unit": 1000.0}, "ms"),
+        ({"late": 1.3}, "two clocks"),
+    ],
+)
+def test_an_impossible_latency_is_refused(tmp_path, words, hint):
+    code, found = run("calibrate", "mocap", marker(tmp_path / "m.csv", **words), "--json")
+    assert code == 2
+    assert hint in found["hint"]
+
+
+def test_a_link_in_milliseconds_is_refused(tmp_path):
+    path = tmp_path / "link.csv"
+    path.write_text(
+        "\n".join(["sent_s,received_s", *(f"{20 * k},{20 * k + 8}" for k in range(99))])
+    )
+    code, found = run("calibrate", "link", path, "--json")
+    assert code == 2
+    assert "ms" in found["hint"]
