@@ -71,7 +71,7 @@ def read_logs(asked: Asked) -> list[MotionLog]:
     paths, mapping, body, since, until = asked
     logs = []
     for path in paths:
-        if path.is_dir() or (mapping is None and path.suffix == ".mcap"):
+        if path.is_dir() or (mapping is None and path.suffix.lower() == ".mcap"):
             log = read_run_log(path, body)
         elif mapping is None:
             raise TestbedError(

@@ -59,6 +59,8 @@ def findings(c: Calibration) -> list[str]:
     """Jets that are not what the file says, in words."""
     lines = []
     for one in c.jets:
+        if one.state == "exchanged" and one.other < one.jet:
+            continue  # named with the other
         text = {
             "dead": f"jet {one.jet + 1} is dead or nearly so",
             "weak": f"jet {one.jet + 1} is weak: {one.share:.0%} of the others",

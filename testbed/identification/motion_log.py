@@ -132,8 +132,10 @@ def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np
 
 
 def _heading(columns: NumericColumns, names: tuple[str, ...]) -> Array:
-    """Heading about z of unit quaternions [rad]."""
-    x, y, z, w = (columns[name] for name in names)
+    """Heading about z of unit quaternions; NaN where all four are 0 or one is no number [rad]."""
+    four = np.stack([columns[name] for name in names])
+    lost = ~np.isfinite(four).all(axis=0) | (four == 0.0).all(axis=0)  # of the body
+    x, y, z, w = np.where(lost, np.nan, four)
     off = np.nanmax(np.abs(x * x + y * y + z * z + w * w - 1.0), initial=0.0)
     if off > 0.05:
         raise LogRefusedError(

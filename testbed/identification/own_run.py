@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.config import load
+from testbed.core.error import TestbedError
 from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError, digest
 from testbed.identification.motion_log import FEWEST_POSES, MotionLog, gaps
@@ -27,8 +28,19 @@ def read_run_log(folder: Path, body: str | None) -> MotionLog:
         LogRefusedError: the run has no such vehicle, or too few of its rows.
     """
     path = log_of(folder)
-    history = gather(LogReader(path))
-    names = list(history.vehicles)
+    try:
+        history = gather(LogReader(path))
+        names = list(history.vehicles)
+        found = "" if names else "no vehicle of a run in it"
+    except TestbedError as error:
+        if folder.is_dir():
+            raise
+        found = str(error)
+    if found:
+        raise LogRefusedError(
+            where=str(folder), expected="a run of this project", found=found,
+            hint="for another log give --mapping, see docs/calibrate.md",
+        )  # fmt: skip
     if body is None and len(names) == 1:
         body = names[0]
     if body is None or body not in history.vehicles:

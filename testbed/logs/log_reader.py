@@ -330,12 +330,17 @@ class LogReader:
     def _zero(self, records: list[Record]) -> int | None:
         """UTC at time 0 of the run, from a row: it begins with its time of the run."""
         for one in records:
-            if not isinstance(one, Message) or (channel := self._channels.get(one.channel)) is None:
-                continue
-            if "/" not in self.kinds[channel.topic]:
+            if isinstance(one, Message) and self._is_ours(self._channels.get(one.channel)):
                 with suppress(struct.error, ValueError, OverflowError):
                     return one.stamp - round(1e9 * _TIME.unpack_from(one.data, 4)[0])
         return None
+
+    def _is_ours(self, channel: Channel | None) -> bool:
+        """Whether the messages of a channel are of this software."""
+        schema = None if channel is None else self._schemas.get(channel.schema)
+        if schema is None:
+            return channel is not None and self._ours and bool(self.kinds[channel.topic])
+        return schema.name.startswith(f"{OUR_MESSAGES}/")
 
     def _learn(self, name: Schema | Channel) -> None:
         if isinstance(name, Schema):

@@ -11,8 +11,8 @@ from msgspec import structs
 
 from testbed.cli.main import main
 from testbed.config import SHIPPED, load
-from testbed.identification.calibration_file import report_of
-from testbed.identification.jets import examine
+from testbed.identification.calibration_file import findings, report_of
+from testbed.identification.jets import JetFinding, examine
 from testbed.identification.model import VehicleModel
 from testbed.identification.motion import calibrate_motion, identifiable, interval, thrusts
 from testbed.identification.synthetic import excitation, flown_log
@@ -78,6 +78,11 @@ def test_exchanged_jets_are_named(flight, floater):
 
     found = examined(flight, floater, change)
     assert {k: f.other + 1 for k, f in found.items() if f.state == "exchanged"} == {2: 5, 5: 2}
+
+
+def test_exchanged_jets_are_listed_once(found):
+    pair = [JetFinding(k, "exchanged", 1.0, 0.1, other) for k, other in ((1, 4), (4, 1))]
+    assert findings(found._replace(jets=pair)) == ["jets 2 and 5 are exchanged"]
 
 
 def test_a_jet_that_never_opened_is_not_identifiable(floater):
