@@ -43,7 +43,12 @@ def _jets(vehicle: Vehicle) -> Iterator[Violation]:
     elif not push_everywhere(jets, vehicle.com, vehicle.radius):
         expected = "jets that push the body every way and turn it both ways"
         ways = "; none ".join(missing_ways(vehicle))
-        yield Violation(("jets",), expected, f"{len(jets)}: none {ways or 'of them strongly'}")
+        found = f"{len(jets)}: none {ways or 'of them strongly'}"
+        middle = float(np.median([jet.thrust for jet in jets])) if jets else 0.0
+        far = [k for k, jet in enumerate(jets, 1) if jet.thrust > FAR * middle]
+        if far:
+            found += f"; jet {far[0]} has {jets[far[0] - 1].thrust:g} N: mN meant?"
+        yield Violation(("jets",), expected, found)
 
 
 def _within(key: tuple[str | int, ...], point: Point, radius: float) -> Iterator[Violation]:
@@ -52,6 +57,7 @@ def _within(key: tuple[str | int, ...], point: Point, radius: float) -> Iterator
         yield Violation(key, expected, show(list(point)))
 
 
+FAR = 100.0  # times the usual thrust: one jet is in another unit
 WAYS = ("towards +x", "towards -x", "towards +y", "towards -y", "turning left", "turning right")
 
 

@@ -177,3 +177,8 @@ def test_check_says_more_of_what_a_vehicle_can_do(testbed):
 )  # fmt: skip
 def test_a_doubt_says_what_it_compares_with(testbed, change, words):
     assert words in testbed("check", "hold", change).stderr
+
+
+def test_one_jet_in_millinewtons_is_named(testbed):
+    said = testbed("check", "hold", f"{MODEL}.jets.1.thrust=1000").stderr
+    assert "jet 1 has 1000 N: mN meant?" in said
