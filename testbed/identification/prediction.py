@@ -12,13 +12,15 @@ from sim_twin.schedule import Schedule, schedule_of_pulses, schedule_of_wrenches
 from testbed.core.error import TestbedError
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
+from testbed.run.arguments import wrong
 
 Array = NDArray[np.float64]
+CALL = "testbed.predict"
 LEVEL = Ground(np.array([1e3, 1e3]), np.zeros(2), np.zeros((0, 0, 2)), 0.0, np.zeros((0, 4)))
 
 
 class Valves(NamedTuple):
-    """Commanded valve pulses: jet `jet[i]` from `up[i]` to `down[i]`, sorted by `up`."""
+    """Commanded valve pulses: jet `jet[i]` from `up[i]` to `down[i]`."""
 
     up: Array  # (n,) opening commands [s]
     down: Array  # (n,) closing commands [s]
@@ -117,31 +119,107 @@ def predict(vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, time
     Args:
         vehicle: its values are taken as exact, without tolerances; the tank is full at the start.
         table: slope of the surface; None: level. There are no edges and no contacts.
-        inputs: `Valves` or `Wrenches`, whole log; earlier commands act on the start.
+        inputs: `Valves` or `Wrenches`, whole log, in any order; earlier commands act on the start.
         x0: state at the first of `times`: x, y, theta, vx, vy, omega of the body's origin
             [m, m, rad, m/s, m/s, rad/s].
         times: increasing, shape (n,) [s].
 
     Returns:
         states at the times, shape (n, 6).
+
+    Raises:
+        TestbedError: an argument has another shape or is not finite, a jet does not exist, or a
+            valve closes before it opens.
     """
-    marks, start = np.array(times, dtype=float), np.array(x0, dtype=float)
-    if start.shape != (6,) or marks.ndim != 1 or len(marks) < 1 or np.any(np.diff(marks) < 0.0):
-        raise TestbedError(
-            where="predict", expected="x0 of shape (6,) and increasing times, shape (n,)",
-            found=f"x0 of shape {start.shape}, times of shape {marks.shape}",
-        )  # fmt: skip
-    if not (np.isfinite(start).all() and np.isfinite(marks).all()):
-        raise TestbedError(where="predict", expected="finite x0 and times", found="nan or inf")
+    if not isinstance(vehicle, Vehicle):
+        hint = 'testbed.load("hold").vehicles["sat1"].model'
+        raise wrong(f"{CALL}, vehicle", "the model of a vehicle", vehicle, hint)
+    if not isinstance(table, Table | None):
+        hint = 'testbed.load("hold").table'
+        raise wrong(f"{CALL}, table", "the table of an experiment, or None: level", table, hint)
+    start, marks = _numbers("x0", x0, (6,)), _numbers("times", times, (None,))
+    if len(marks) < 1 or np.any(np.diff(marks) < 0.0):
+        raise wrong(f"{CALL}, times", "increasing times, one or more", times)
+    if isinstance(inputs, Valves):
+        inputs = _checked_valves(inputs, len(vehicle.jets))
+    elif isinstance(inputs, Wrenches):
+        inputs = _checked_wrenches(inputs, float(marks[0]))
+    else:
+        hint = "testbed.Valves(up=[0.0], down=[0.4], jet=[0])"
+        raise wrong(f"{CALL}, inputs", "testbed.Valves or testbed.Wrenches", inputs, hint)
     plant = nominal_plant(vehicle)
-    if isinstance(inputs, Valves) and len(inputs.jet) and max(inputs.jet) >= len(vehicle.jets):
-        raise TestbedError(
-            where="predict", expected=f"jet indices 0 to {len(vehicle.jets) - 1}; 0 is jet 1",
-            found=f"{max(inputs.jet)}",
-        )  # fmt: skip
     ground = LEVEL if table is None else lay(table)
     schedule = schedule_of(inputs, plant, vehicle.command_delay_s)
     in_table = isinstance(inputs, Wrenches) and inputs.in_table
     return shoot(
         start[None], np.zeros(1), marks[:1], marks[None], schedule, plant, ground, in_table
     )[0]
+
+
+def _checked_valves(inputs: Valves, jets: int) -> Valves:
+    """The pulses as arrays, sorted by `up`, with jets that exist: compiled code checks nothing."""
+    up = _numbers("inputs.up", inputs.up, (None,))
+    down = _numbers("inputs.down", inputs.down, up.shape)
+    number = _numbers("inputs.jet", inputs.jet, up.shape)
+    share = None if inputs.share is None else _numbers("inputs.share", inputs.share, up.shape)
+    jet = number.astype(np.int64)
+    _all("inputs.jet", "whole numbers; 0 is jet 1", number, jet == number)
+    there = (jet >= 0) & (jet < jets)
+    _all("inputs.jet", f"jet indices 0 to {jets - 1}; 0 is jet 1", jet, there)
+    # the mean opening of a share needs a time to be the mean of
+    long_enough = down >= up if share is None else down > up
+    expected = "no valve that closes before it opens: up, then down"
+    _all("inputs.down", expected, down - up, long_enough, "s after `up`")
+    if share is not None:
+        _all("inputs.share", "shares of the time, 0 to 1", share, (share >= 0.0) & (share <= 1.0))
+    order = np.argsort(up, kind="stable")
+    return Valves(up[order], down[order], jet[order], None if share is None else share[order])
+
+
+def _checked_wrenches(inputs: Wrenches, begin: float) -> Wrenches:
+    """The wrenches as arrays, sorted by time; without a row, none from `begin` on [s]."""
+    t = _numbers("inputs.t", inputs.t, (None,))
+    if len(t) == 0:
+        return Wrenches(np.array([begin]), np.zeros((1, 3)), bool(inputs.in_table))
+    wrench = _numbers("inputs.wrench", inputs.wrench, (len(t), 3))
+    order = np.argsort(t, kind="stable")
+    t, wrench = t[order], wrench[order]
+    apart = np.diff(t)
+    _all("inputs.t", "times more than 1 us apart", apart, apart > 1e-6, "s apart")
+    return Wrenches(t, wrench, bool(inputs.in_table))
+
+
+def _numbers(what: str, value: Any, shape: tuple[int | None, ...]) -> Array:
+    """Finite numbers of a shape, None for any length, as a new array.
+
+    Raises:
+        TestbedError: it is something else; `what` is the argument.
+    """
+    where = f"{CALL}, {what}"
+    expected = f"finite numbers of shape {str(shape).replace('None', 'n')}"
+    try:
+        found = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        raise wrong(where, expected, value) from None
+    if found.size and found.dtype.kind not in "iuf":
+        raise wrong(where, expected, value)
+    fits = found.ndim == len(shape) and all(
+        n in (None, m) for n, m in zip(shape, found.shape, strict=True)
+    )
+    if not fits:
+        raise TestbedError(where=where, expected=expected, found=f"shape {found.shape}")
+    _all(what, expected, found, np.isfinite(found))
+    return np.array(found, dtype=float, order="C")
+
+
+def _all(what: str, expected: str, values: Any, good: Any, unit: str = "") -> None:
+    """Refuse values if not all are good: name the first that is not.
+
+    Raises:
+        TestbedError: one is not good; `what` is the argument.
+    """
+    if np.all(good):
+        return
+    at = tuple(np.argwhere(~good)[0].tolist())
+    found = f"{values[at]:g}{' ' * bool(unit)}{unit} at index {at[0] if len(at) == 1 else at}"
+    raise TestbedError(where=f"{CALL}, {what}", expected=expected, found=found)

@@ -69,6 +69,70 @@ def test_bad_input_is_refused(exact, x0, times):
         predict(exact, None, none, x0, times)
 
 
+PULSE = Valves(np.array([0.1]), np.array([0.3]), np.array([4]))
+
+
+@pytest.mark.parametrize(
+    ("inputs", "where", "expected"),
+    [
+        (Valves([0.1], [0.3], [8]), "inputs.jet", "jet indices 0 to 7"),
+        (Valves([0.1], [0.3], [-1]), "inputs.jet", "jet indices 0 to 7"),
+        (Valves([0.1], [0.3], [-9]), "inputs.jet", "jet indices 0 to 7"),
+        (Valves([0.1], [0.3], [0.5]), "inputs.jet", "whole numbers"),
+        (Valves([0.1, 0.2], [0.3], [4]), "inputs.down", "shape (2,)"),
+        (Valves([0.1], [0.3], [4, 5]), "inputs.jet", "shape (1,)"),
+        (Valves([0.3], [0.1], [4]), "inputs.down", "up, then down"),
+        (Valves([np.nan], [0.3], [4]), "inputs.up", "finite"),
+        (Valves(["0.1"], [0.3], [4]), "inputs.up", "finite numbers"),
+        (Valves([0.1], [0.3], [4], [2.0]), "inputs.share", "0 to 1"),
+        (Valves([0.1], [0.3], [4], [0.5, 0.5]), "inputs.share", "shape (1,)"),
+        (Valves([0.1], [0.1], [4], [0.5]), "inputs.down", "up, then down"),
+        (Wrenches([0.0, 1.0], [[1.0, 0.0, 0.0]]), "inputs.wrench", "shape (2, 3)"),
+        (Wrenches([0.0], [1.0, 0.0, 0.0]), "inputs.wrench", "shape (1, 3)"),
+        (Wrenches([0.0, 1.0], [[1.0, 0.0, 0.0], [1.0]]), "inputs.wrench", "shape (2, 3)"),
+        (Wrenches([0.0], [[np.nan, 0.0, 0.0]]), "inputs.wrench", "finite"),
+        (Wrenches([1.0, 1.0], np.zeros((2, 3))), "inputs.t", "1 us apart"),
+        (None, "inputs", "testbed.Valves"),
+        (([0.1], [0.3], [4]), "inputs", "testbed.Valves"),
+    ],
+)
+def test_bad_commands_are_refused(exact, inputs, where, expected):
+    with pytest.raises(testbed.TestbedError) as caught:
+        predict(exact, None, inputs, np.zeros(6), [0.0, 1.0])
+    assert caught.value.where == f"testbed.predict, {where}"
+    assert expected in caught.value.expected
+    assert caught.value.found
+
+
+def test_what_is_no_vehicle_table_or_state_is_refused(exact):
+    hold, times = testbed.load("hold"), [0.0, 1.0]
+    for wrong in ("generic_8jet", hold, hold.vehicles["sat1"]):
+        with pytest.raises(testbed.TestbedError, match=r'vehicles\["sat1"\]\.model'):
+            predict(wrong, None, PULSE, np.zeros(6), times)
+    with pytest.raises(testbed.TestbedError, match=r"the table of an experiment, or None"):
+        predict(exact, "marble_6m", PULSE, np.zeros(6), times)
+    for x0 in ("abc", None, [[0.0] * 6], ["0"] * 6, [0.0] * 5 + [[0.0]]):
+        with pytest.raises(testbed.TestbedError, match=r"x0\n.*shape \(6,\)"):
+            predict(exact, None, PULSE, x0, times)
+    with pytest.raises(testbed.TestbedError, match=r"times\n.*shape \(n,\)"):
+        predict(exact, None, PULSE, np.zeros(6), 3.0)
+
+
+def test_lists_whole_floats_and_unsorted_rows_give_the_same_motion(exact):
+    def end(inputs):
+        return predict(exact, None, inputs, np.zeros(6), [0.0, 1.0, 2.5])
+
+    np.testing.assert_array_equal(end(Valves([0.1], [0.3], [4.0])), end(PULSE))
+    two = Valves(np.array([0.1, 0.9]), np.array([0.3, 1.2]), np.array([4, 1]))
+    turned = Valves([0.9, 0.1], [1.2, 0.3], [1, 4])
+    np.testing.assert_array_equal(end(turned), end(two))
+    push = Wrenches(np.array([0.0, 1.0]), np.array([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    turned = Wrenches([1, 0], [[0, 0, 0], [0.5, 0, 0]])
+    np.testing.assert_array_equal(end(turned), end(push))
+    none = Wrenches([], np.zeros((0, 3)))
+    np.testing.assert_array_equal(end(none), end(Valves([], [], [])))
+
+
 def test_it_is_behind_the_public_door():
     assert testbed.predict is predict
     assert testbed.Valves is Valves
