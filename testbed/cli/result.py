@@ -11,8 +11,13 @@ from testbed.cli.screen import show
 from testbed.config import Experiment
 from testbed.core.codes import FaultId
 from testbed.metrics.afterwards import left_in_words
-from testbed.metrics.formation import FormationMetrics, has_formation
-from testbed.metrics.run_metrics import FormationCriteria, Metrics, weakest_jet
+from testbed.metrics.formation import has_formation
+from testbed.metrics.run_metrics import (
+    FormationCriteria,
+    FormationMetrics,
+    Metrics,
+    weakest_jet,
+)
 from testbed.report.page import OF_A_GOAL, ROWS, known
 from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
 

@@ -19,27 +19,16 @@ from numpy.typing import NDArray
 from controllers.bifurcating_design import distance_to
 from controllers.catalogue import Controller
 from controllers.graph import formation, formation_kind
-from testbed.metrics.characterisation import Characterisation, characterise, extremes
-from testbed.metrics.run_metrics import Track
+from testbed.metrics.characterisation import characterise, extremes
+from testbed.metrics.run_metrics import FormationMetrics, Touch, Track
+from testbed.metrics.touching import smallest_gap
 
 Array = NDArray[np.float64]
 
 EDGE_M = 0.08  # an edge is settled when its error stays below this [m]
 CURVE_M = 0.10  # a vehicle is on a curve when it stays within this of it [m]
 END_S = 5.0  # the end of a phase, or of a run, that counts [s]
-STRIDE = 10  # every tenth sample of the track is enough for slow changes
-
-
-class FormationMetrics(Struct, frozen=True):
-    """The section `formation` of metrics.json; null if it does not apply to the law."""
-
-    end: Characterisation  # the five elements at the end
-    closest_m: float  # smallest gap between two surfaces, of the run
-    widest_m: float  # largest distance from the mean position, of the run
-    error_m: float | None = None  # largest in the last 5 s, of the run or of each phase
-    settled_s: float | None = None  # after which it stays small; of the slowest phase
-    longest_edge_m: float | None = None  # of the start's edges, over the run
-    lost_edges: int | None = None  # edges that were once longer than the range
+STRIDE = 10  # every tenth sample of the track is enough for the error of a shape
 
 
 class FormationContext(Struct, frozen=True):
@@ -111,16 +100,23 @@ def curves(controller: Any, t: Array, p: Array) -> ShapeError | None:
 
 
 def formation_metrics(
-    controller: Controller, context: FormationContext, track: Track
+    controller: Controller, context: FormationContext, track: Track, touches: Sequence[Touch] = ()
 ) -> FormationMetrics | None:
-    """Judge a flight of two or more vehicles; null for fewer, or without a track."""
+    """Judge a flight of two or more vehicles; null for fewer, or without a track.
+
+    Args:
+        controller: the law.
+        context: the vehicles.
+        track: their true states; every sample counts for the distances.
+        touches: contacts, which may be between two samples.
+    """
     if len(context.names) < 2 or len(track.t) == 0:
         return None
     looked = np.append(np.arange(0, len(track.t) - 1, STRIDE), len(track.t) - 1)
     t, states = track.t[looked], track.states[looked]
     p = states[:, :, :2]
     end = characterise(p[-1], states[-1, :, 3:5], context.radius)
-    closest, widest = extremes(np.concatenate([p[::STRIDE], p[-1:]]), context.radius)
+    closest, widest = extremes(track.states[:, :, :2], context.radius)
     shape: ShapeError | None = None
     kind = formation_kind(controller)
     if kind == "curves":
@@ -129,7 +125,7 @@ def formation_metrics(
         shape = edges(controller, context, t, p)
     return FormationMetrics(
         end,
-        closest,
+        smallest_gap(closest, touches, context.names),
         widest,
         shape.error_m if shape else None,
         shape.settled_s if shape else None,

@@ -3,7 +3,7 @@
 import math
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -22,6 +22,7 @@ from testbed.flight.arming import Check
 from testbed.flight.flown_span import FlownRows
 from testbed.flight.flown_tick import AnyTick
 from testbed.metrics.afterwards import After
+from testbed.metrics.characterisation import Characterisation
 
 Array = NDArray[np.float64]
 
@@ -91,6 +92,18 @@ class Touch(Struct, frozen=True):
     speed: float  # closing [m/s]
 
 
+class FormationMetrics(Struct, frozen=True):
+    """Two or more vehicles together; null where a number does not apply to the law."""
+
+    end: Characterisation  # the five elements at the end
+    closest_m: float  # smallest gap between two surfaces, of the run
+    widest_m: float  # largest distance from the mean position, of the run
+    error_m: float | None = None  # largest in the last 5 s, of the run or of each phase
+    settled_s: float | None = None  # after which it stays small; of the slowest phase
+    longest_edge_m: float | None = None  # of the start's edges, over the run
+    lost_edges: int | None = None  # edges that were once longer than the range
+
+
 class Metrics(Struct, frozen=True):
     """Content of metrics.json."""
 
@@ -111,7 +124,7 @@ class Metrics(Struct, frozen=True):
     pose_to_valve_p99_ms: float | None = None
     commands: Commands | None = None
     board: str | None = None
-    formation: Any = None  # `testbed.metrics.formation.FormationMetrics` of two or more vehicles
+    formation: FormationMetrics | None = None  # of two or more vehicles
     warnings: list[Concern] = []  # for example assumptions of a law's proof that do not hold
     phase: str = ""  # of the supervisor at the end: DISARMED, STOPPED or FAULT
     red: list[Check] = []  # failed arming checks that kept the run from starting

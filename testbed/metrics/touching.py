@@ -1,7 +1,7 @@
 """Distances at contacts: between two camera frames vehicles may be nearer than in any of them."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from testbed.core.table import Obstacle
 from testbed.metrics.run_metrics import Touch
@@ -21,6 +21,17 @@ def nearest_vehicles(
         return None
     met = (radii[one.vehicle] + radii[one.other] for one in touches if one.other in radii)
     return min(sampled, min(met, default=math.inf))
+
+
+def smallest_gap(sampled: float, touches: Iterable[Touch], vehicles: Collection[str]) -> float:
+    """Smallest gap between the surfaces of two vehicles [m].
+
+    Args:
+        sampled: the smallest one at a frame [m].
+        touches: contacts.
+        vehicles: their names.
+    """
+    return min(sampled, 0.0) if any(one.other in vehicles for one in touches) else sampled
 
 
 def nearest_obstacles(

@@ -10,8 +10,8 @@ import msgspec
 from testbed.config.experiment import Experiment
 from testbed.core.error import TestbedError
 from testbed.logs.history import History
-from testbed.metrics.formation import FormationMetrics, has_formation
-from testbed.metrics.run_metrics import TO_THE_START, Metrics
+from testbed.metrics.formation import has_formation
+from testbed.metrics.run_metrics import TO_THE_START, FormationMetrics, Metrics
 from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened, lines
 from testbed.report.fault_story import EventLine
@@ -142,7 +142,7 @@ def together_of(scenario: Experiment, metrics: Metrics) -> FormationMetrics | No
     """Metrics of the formation; None if the law controls no formation."""
     if metrics.formation is None or not has_formation(scenario.controller):
         return None
-    return msgspec.convert(metrics.formation, FormationMetrics, from_attributes=True)
+    return metrics.formation
 
 
 def known(scenario: Experiment, metrics: Metrics, name: str, key: str) -> float | None:

@@ -57,7 +57,8 @@ def measure(
     # ended by an operator, or never started: not judged
     fault = ending.fault
     is_judged = not rig.red and (completed if fault is None else fault.id != FaultId.STOPPED)
-    together = formation_metrics(experiment.controller, formation_context(experiment), track)
+    context = formation_context(experiment)
+    together = formation_metrics(experiment.controller, context, track, touches)
     wanted = experiment.criteria.formation
     return Metrics(
         experiment=experiment.name,

@@ -13,7 +13,14 @@ from controllers.pd import PdParams
 from controllers.proxy import ProxyParams
 from controllers.scale import Scale
 from testbed.metrics.formation import FormationContext, formation_metrics, has_formation
-from testbed.metrics.run_metrics import Criteria, FormationCriteria, Track, judge_formation
+from testbed.metrics.run_metrics import (
+    Criteria,
+    FormationCriteria,
+    Touch,
+    Track,
+    judge_formation,
+    smallest_separation,
+)
 
 T = np.linspace(0.0, 100.0, 10_001)
 
@@ -64,6 +71,19 @@ def test_five_elements_of_any_group(n):
     assert found.closest_m == pytest.approx(0.6)  # surfaces
     assert found.widest_m == pytest.approx(found.end.outer)
     assert (found.error_m, found.settled_s, found.longest_edge_m) == (None, None, None)
+
+
+def test_a_short_approach_counts_and_a_contact_between_two_frames():
+    near = moving(1.0 - 0.5 * np.exp(-(((T - 37.123) / 0.02) ** 2)), 0.0)  # for 20 ms
+    flown = track((0.0, 0.0), near)
+    found = judged(PdParams(), flown, n=2)
+    assert found.closest_m == pytest.approx(smallest_separation(flown) - 2 * 0.2)
+    assert found.closest_m < 0.12
+    touches = [Touch(50.0, "b", "a", 0.1)]
+    met = formation_metrics(PdParams(), context(2), flown, touches)
+    assert met.closest_m == 0.0
+    other = formation_metrics(PdParams(), context(2), flown, [Touch(50.0, "b", "rock", 0.1)])
+    assert other.closest_m == found.closest_m
 
 
 def test_edges_settle_when_the_closed_form_says():

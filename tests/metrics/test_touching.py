@@ -2,7 +2,7 @@
 
 from testbed.core.table import Obstacle
 from testbed.metrics.run_metrics import Touch
-from testbed.metrics.touching import nearest_obstacles, nearest_vehicles
+from testbed.metrics.touching import nearest_obstacles, nearest_vehicles, smallest_gap
 
 RADII = {"a": 0.3, "b": 0.25, "c": 0.2}
 OBSTACLES = {"rock": Obstacle((0.0, 0.0), 0.7, solid=0.2), "far": Obstacle((3.0, 0.0), 0.5)}
@@ -28,3 +28,9 @@ def test_an_obstacle_that_was_touched_was_as_near_as_its_body():
     near = nearest_obstacles(sampled, touches, "a", 0.3, OBSTACLES)
     assert near == {"rock": 0.5, "far": 2.5}
     assert nearest_obstacles(sampled, touches, "b", 0.25, OBSTACLES) == sampled
+
+
+def test_two_vehicles_that_touched_have_no_gap():
+    assert smallest_gap(0.0009, [touch("b", "a")], list(RADII)) == 0.0
+    assert smallest_gap(-0.0009, [touch("b", "a")], list(RADII)) == -0.0009
+    assert smallest_gap(0.0009, [touch("a", "rock")], list(RADII)) == 0.0009

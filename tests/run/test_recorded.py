@@ -81,6 +81,18 @@ def test_a_log_without_metrics_may_still_be_flown(copy):
     assert "has no end" in call("replay", copy).stderr
 
 
+def test_a_finished_run_and_one_without_an_end_give_the_same_kind_of_metrics(tmp_path):
+    flown = testbed.open_run(fly("xue2021_table_static", tmp_path / "whole"))
+    shutil.copytree(flown.folder, tmp_path / "cut")
+    (tmp_path / "cut" / "metrics.json").unlink()  # not judged yet
+    running = testbed.open_run(tmp_path / "cut")
+    for run in (flown, running):
+        radii = {setup.model.radius for setup in run.experiment.vehicles.values()}
+        gap = run.metrics.min_vehicle_distance_m - 2.0 * radii.pop()
+        assert run.metrics.formation.closest_m == pytest.approx(gap)
+        assert run.metrics.formation.end.count == 3
+
+
 def test_a_log_that_ends_before_its_flight_is_not_whole(copy):
     path = copy / "metrics.json"
     path.write_text(path.read_text().replace('"duration_s": 3.0', '"duration_s": 9.0'))
