@@ -48,6 +48,7 @@ def doubts_of(experiment: Experiment) -> list[Concern]:
             )
         ]
     found += [Concern("cameras", text) for text in _cameras(experiment)]
+    found += [Concern("obstacle-off-table", text) for text in _off_table(experiment)]
     return [*found, *_wires(experiment)]
 
 
@@ -182,6 +183,19 @@ def _cameras(experiment: Experiment) -> Iterator[str]:
             f"table.mocap.noise_deg is {mocap.noise_deg:g} deg: published cameras have"
             " 0.01 to 0.1 deg"
         )
+
+
+def _off_table(experiment: Experiment) -> Iterator[str]:
+    """Obstacles that stay where no vehicle can come near them."""
+    size = experiment.table.size
+    for name, obstacle in experiment.obstacles.items():
+        x, y = obstacle.position
+        gap = math.hypot(max(abs(x) - 0.5 * size[0], 0.0), max(abs(y) - 0.5 * size[1], 0.0))
+        if gap >= obstacle.radius and obstacle.velocity == (0.0, 0.0):
+            yield (
+                f"{name} is {gap:.3g} m off the table of {size[0]:g} m x {size[1]:g} m, and its"
+                f" danger radius is {obstacle.radius:g} m: no vehicle comes near it"
+            )
 
 
 def _wires(experiment: Experiment) -> Iterator[Concern]:

@@ -40,6 +40,13 @@ DOUBTED = {  # what is changed: what is said
         ["way-blocked"],
     ),
     "an obstacle beside the way": (["obstacles.rock={position=[0.0,1.0],radius=0.5}"], []),
+    "an obstacle off the table": (
+        ["obstacles.rock={position=[3.5,0.0],radius=0.5}"], ["obstacle-off-table"],
+    ),
+    "an obstacle over the edge": (["obstacles.rock={position=[3.4,0.0],radius=0.5}"], []),
+    "an obstacle that may come": (
+        ["obstacles.rock={position=[3.5,0.0],radius=0.5,velocity=[-0.1,0.0]}"], [],
+    ),
     "too far for the time": (["duration_s=10"], ["too-short"]),
     "a body of another name": (["table.lab.mocap.bodies={sta1='Body 1'}"], ["body-unnamed"]),
     "bodies of others, too": (["table.lab.mocap.bodies={sat1='a',sat2='b'}"], []),
