@@ -11,7 +11,7 @@ from testbed.campaign.beside import fly_beside
 from testbed.campaign.row import FlownRun
 from testbed.campaign.worker import Order
 from testbed.config import Experiment, dump
-from testbed.run.arguments import check_count, check_experiment, list_of
+from testbed.run.arguments import check_count, check_experiment, check_positive, list_of
 from testbed.run.table import Table
 
 UNITS = {"_m": "m", "_s": "s", "_deg": "deg", "_ns": "N s", "_g": "g", "_n": "N"}
@@ -36,11 +36,15 @@ def fly_many(
         One row per experiment, in their order: `experiment`, `seed`, `outcome` ("passed",
         "failed", "fault", "error", "refused", "lost"), `reason`, and the metrics. `settle_s` is
         the worst vehicle's, `sat1.settle_s` one vehicle's. NaN where a number does not apply.
+
+    Raises:
+        TestbedError: an argument is not possible.
     """
     where = "testbed.fly_many"
     flown = list_of(where, experiments, "a list of experiments, from testbed.load")
     if jobs is not None:
         check_count(f"{where}, jobs", jobs, "a number of processes, 1 or more")
+    check_positive(f"{where}, limit_s", limit_s, "a computing time in seconds, above 0")
     for one in flown:
         check_experiment(where, one)
     orders = [Order(k, tomli_w.dumps(dump(one))) for k, one in enumerate(flown)]

@@ -12,8 +12,9 @@ from testbed.campaign.many import LIMIT_S, table_of
 from testbed.campaign.trial import fly, read
 from testbed.campaign.worker import Order
 from testbed.config import Experiment, dump
-from testbed.run.arguments import check_count, check_experiment, list_of, wrong
-from testbed.run.experiment import toml
+from testbed.core.error import TestbedError
+from testbed.run.arguments import check_count, check_experiment, list_of, seeds_of, wrong
+from testbed.run.experiment import told_by, toml
 from testbed.run.table import Table
 
 
@@ -27,7 +28,7 @@ def sweep(
 
     Args:
         experiment: from `testbed.load`.
-        over: values by dotted key: `{"controller.k": [0.2, 0.3]}`.
+        over: values by dotted key: `{"controller.k": [0.2, 0.3]}`; not `seed`.
         seeds: each combination flies with each of these.
         jobs: processes that fly at the same time; 1: fly in this process.
 
@@ -38,7 +39,7 @@ def sweep(
         not apply.
 
     Raises:
-        TestbedError: a key or value is not possible.
+        TestbedError: a key, value or seed is not possible.
     """
     check_experiment("testbed.sweep", experiment)
     if not isinstance(over or {}, Mapping):
@@ -48,7 +49,12 @@ def sweep(
         for key, values in (over or {}).items()
     }
     check_count("testbed.sweep, jobs", jobs, "a number of processes, 1 or more")
-    numbers = list_of("testbed.sweep, seeds", seeds, "a list of seeds: range(20)")
+    numbers = seeds_of("testbed.sweep, seeds", seeds)
+    if "seed" in axes:  # it has a column and an argument of its own
+        raise TestbedError(
+            where="testbed.sweep, over", expected="keys other than seed", found="'seed'",
+            hint=f"seeds={axes['seed']!r}",
+        )  # fmt: skip
     rows = [(values, seed) for values in product(*axes.values()) for seed in numbers]
     base = tomli_w.dumps(dump(experiment))
     orders = [
@@ -56,7 +62,8 @@ def sweep(
         for k, (values, s) in enumerate(rows)
     ]
     for values in dict.fromkeys(order.overrides[:-1] for order in orders):
-        read(base, values)  # a wrong key is refused before the first flight
+        with told_by("testbed.sweep, over"):
+            read(base, values)  # a wrong key is refused before the first flight
     if jobs == 1:
         runs = [fly(base, one.k, one.overrides) for one in orders]
     else:

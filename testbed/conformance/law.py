@@ -5,7 +5,8 @@ alone, with others of whom nothing was heard but where they are. What it remembe
 law's state. Equal inputs give equal outputs, independent of calls in between: replay needs it.
 """
 
-from collections.abc import Callable, Iterator
+import reprlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from controllers.law_file import UnusableLawError
 from controllers.own_law import law_of
 from controllers.plain_law import LawError
 from testbed.conformance.check import NotConformingError, factory_of, must, run_all
+from testbed.core.error import TestbedError
 from testbed.core.law import Array, Body, Discs, Goal, Law, Neighbours, World
 
 SATELLITES = ("sat1", "sat2", "sat3")
@@ -128,7 +130,16 @@ def check_law(
 
     Raises:
         NotConformingError: the first that fails.
+        TestbedError: `parameters` or `dimensions` are of another kind.
     """
+    asked = list(dimensions) if isinstance(dimensions, tuple | list) else []
+    if not asked or not all(isinstance(one, int) and one in (2, 3) for one in asked):
+        expected = "(2,), (3,) or (2, 3): of the table, of orbit, or both"
+        where = "check_law, dimensions"
+        raise TestbedError(where=where, expected=expected, found=repr(dimensions))
+    if not isinstance(parameters, Mapping | None):
+        expected, found = 'values by name: {"stiffness": 0.3}', reprlib.repr(parameters)
+        raise TestbedError(where="check_law, parameters", expected=expected, found=found)
     suite = LawConformance()
     suite.__dict__.update(make=factory, parameters=parameters or {}, dimensions=dimensions)
     run_all(suite)

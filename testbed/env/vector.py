@@ -6,8 +6,8 @@ from typing import Any
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 
 from testbed.config import Experiment
-from testbed.core.error import TestbedError
 from testbed.env.table import TableEnv
+from testbed.run.arguments import check_count
 
 
 def table_envs(
@@ -25,12 +25,9 @@ def table_envs(
         options: of `TableEnv`.
 
     Raises:
-        TestbedError: less than one environment.
+        TestbedError: `number` is not a whole number from 1.
     """
-    if number < 1:
-        raise TestbedError(
-            where="table_envs", expected="one environment or more", found=f"{number}"
-        )
+    check_count("table_envs", number, "one environment or more")
     makers = [partial(TableEnv, experiment, **options)] * number
     if not processes:
         return SyncVectorEnv(makers)

@@ -20,6 +20,7 @@ from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.arguments import check_experiment, check_number, check_overrides, path_of, wrong
+from testbed.run.experiment import told_by
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import (
@@ -85,7 +86,9 @@ def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: 
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="testbed-")))
             check_space(folder)
         else:
-            folder = new_folder(path_of("testbed.fly, log", log, NEW), experiment.name)
+            folder = new_folder(
+                path_of("testbed.fly, log", log, NEW), experiment.name, option="log="
+            )
         if current_thread() is main_thread():  # no other thread can be interrupted
             stack.enter_context(interrupt.caught())
         stack.enter_context(watched(experiment))
@@ -162,7 +165,9 @@ def replay(run: Run, *overrides: str) -> Replay:
     """
     check_overrides("testbed.replay", overrides)
     folder = _logged(run, "replay")
-    return replay_experiment(load(config_of(folder), overrides), log_of(folder))
+    with told_by("testbed.replay"):
+        experiment = load(config_of(folder), overrides)
+    return replay_experiment(experiment, log_of(folder))
 
 
 def fork(
@@ -200,7 +205,8 @@ def fork(
     if run.metrics.rig != "twin":
         experiment, rig = replace(experiment, board="model"), resumed(original, t)
         make = lambda folder: rig  # noqa: E731
-    folder = new_folder(None if log is None else path_of("fork, log", log, NEW), experiment.name)
+    out = None if log is None else path_of("fork, log", log, NEW)
+    folder = new_folder(out, experiment.name, option="--out, or log= in Python")
     flown = _fly(experiment, make, folder, progress)
     check_fork(original, folder, t, before, experiment)
     write_page(folder, experiment)

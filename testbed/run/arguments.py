@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.config import Experiment
+from testbed.config.shipped import shipped
 from testbed.core.error import TestbedError
 
 
@@ -20,7 +21,11 @@ def check_experiment(where: str, value: object) -> None:
     """
     if isinstance(value, Experiment):
         return
-    hint = f"testbed.load({value!r})" if isinstance(value, str) else ""
+    hint = ""
+    if isinstance(value, str):  # a scenario is loaded by the path of its file
+        names, scenarios = shipped("experiments"), shipped("scenarios")
+        by_path = value in scenarios and value not in names
+        hint = f"testbed.load({str(scenarios[value]) if by_path else value!r})"
     raise wrong(where, "an experiment, from testbed.load", value, hint)
 
 
@@ -55,6 +60,30 @@ def check_count(where: str, value: object, expected: str) -> None:
     """
     if isinstance(value, bool) or not isinstance(value, Integral) or value < 1:
         raise wrong(where, expected, value)
+
+
+def check_positive(where: str, value: object, expected: str) -> None:
+    """Refuse what is not a finite number above zero.
+
+    Raises:
+        TestbedError: for instance, it is negative.
+    """
+    check_number(where, value, expected)
+    if not value > 0.0:  # type: ignore[operator]  # a number, as checked
+        raise wrong(where, expected, value)
+
+
+def seeds_of(where: str, value: Iterable[Any]) -> list[int]:
+    """The values as a list of seeds.
+
+    Raises:
+        TestbedError: it is no list, or one of them is not a whole number that a file can hold.
+    """
+    seeds = list_of(where, value, "a list of seeds: range(20)")
+    for one in seeds:
+        if isinstance(one, bool) or not isinstance(one, Integral) or not 0 <= int(one) < 2**63:
+            raise wrong(where, "seeds that are whole numbers from 0 to 2^63 - 1", one)
+    return [int(one) for one in seeds]
 
 
 def path_of(where: str, value: object, expected: str) -> Path:

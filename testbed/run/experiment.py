@@ -1,6 +1,8 @@
 """An experiment in Python: load it, and change it by key."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,8 @@ class Experiment(config.Experiment, frozen=True, forbid_unknown_fields=True):
             TestbedError: a key does not exist, or a value is invalid.
         """
         overrides = texts_of("with_", changes, more)
-        return of(config.loads(tomli_w.dumps(config.dump(self)), overrides))
+        with told_by("with_"):
+            return of(config.loads(tomli_w.dumps(config.dump(self)), overrides))
 
     def _repr_html_(self) -> str:
         return f"<pre>{self}</pre>"
@@ -55,7 +58,20 @@ def load(name_or_path: str | Path, *overrides: str, seed: int | None = None) -> 
     """
     check_overrides("testbed.load", overrides)
     texts = [*overrides, *([] if seed is None else [f"seed={toml(seed, 'testbed.load, seed')}"])]
-    return of(config.load(config.find(str(name_or_path)), texts))
+    with told_by("testbed.load"):
+        return of(config.load(config.find(str(name_or_path)), texts))
+
+
+@contextmanager
+def told_by(where: str) -> Iterator[None]:
+    """Errors about overrides name a call in Python and not the command line."""
+    try:
+        yield
+    except config.ConfigError as error:
+        told = re.sub(r"(^|(?<= with ))command line", lambda found: where, error.where)
+        if told == error.where:
+            raise
+        raise config.ConfigError(told, error.key, error.expected, error.found) from None
 
 
 def texts_of(where: str, changes: Mapping[str, Any] | None, more: Mapping[str, Any]) -> list[str]:

@@ -19,7 +19,7 @@ from testbed.report.chart import alone
 from testbed.report.figures import figures
 from testbed.report.verdict import NOTHING_TO_JUDGE
 from testbed.run.arguments import path_of
-from testbed.run.experiment import texts_of
+from testbed.run.experiment import texts_of, told_by
 from testbed.run.recorded import recorded
 from testbed.run.table import Table
 
@@ -168,7 +168,8 @@ class Run(Mapping[str, Vehicle]):
         Raises:
             TestbedError: see `testbed.fork`.
         """
-        return self.fly_on(self, t, *texts_of("fork", changes, more), log=log)
+        with told_by("fork"):
+            return self.fly_on(self, t, *texts_of("fork", changes, more), log=log)
 
     def __repr__(self) -> str:
         m = self.metrics

@@ -42,12 +42,13 @@ def utc_ns() -> int:
     return time.time_ns()
 
 
-def new_folder(out: Path | None, name: str) -> Path:
+def new_folder(out: Path | None, name: str, option: str = "--out") -> Path:
     """Make the folder of a new run.
 
     Args:
         out: the folder; it may exist if it is empty. None: a new one in runs/.
         name: name of the experiment.
+        option: how the caller names another folder.
 
     Raises:
         FolderError: the folder is not empty or not writable, or its disk is nearly full.
@@ -72,7 +73,7 @@ def new_folder(out: Path | None, name: str) -> Path:
             return path
     except OSError as error:
         raise FolderError(
-            where=str(error.filename), expected="a writable place; choose another with --out",
+            where=str(error.filename), expected=f"a writable place; choose another with {option}",
             found=str(error.strerror),
         ) from None  # fmt: skip
     raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")

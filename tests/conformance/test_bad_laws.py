@@ -8,6 +8,7 @@ from controllers.pd import PdParams
 from springs import Springs
 from testbed.conformance import LawConformance, check_law
 from testbed.conformance.check import NotConformingError, run_all
+from testbed.core.error import TestbedError
 
 KEPT = []
 rng = np.random.default_rng(7)
@@ -144,6 +145,24 @@ def test_a_law_of_the_project_conforms():
         return make_law(PdParams(), names)
 
     check_law(pd)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "where"),
+    [
+        ({"dimensions": 2}, "dimensions"),
+        ({"dimensions": ()}, "dimensions"),
+        ({"dimensions": (4,)}, "dimensions"),
+        ({"dimensions": "23"}, "dimensions"),
+        ({"dimensions": ([2],)}, "dimensions"),
+        ({"parameters": [0.3]}, "parameters"),
+    ],
+)
+def test_wrong_arguments_say_what_was_expected(wrong, where):
+    with pytest.raises(TestbedError) as caught:
+        check_law(Springs, **wrong)
+    assert caught.value.where == f"check_law, {where}"
+    assert caught.value.expected
 
 
 def test_parameters_that_do_not_fit_are_named():

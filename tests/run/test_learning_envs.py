@@ -297,6 +297,13 @@ def test_an_environment_flies_alone_as_in_a_vector(processes):
         np.testing.assert_array_equal(alone, np.array(together)[:, k])
 
 
-def test_a_vector_has_an_environment():
+@pytest.mark.parametrize("number", [0, -1, 1.5, "a", None])
+def test_a_vector_has_an_environment(number):
     with pytest.raises(testbed.TestbedError, match="one environment"):
-        table_envs(step(), 0)
+        table_envs(step(), number)
+
+
+def test_a_scenario_by_its_name_is_refused_with_a_hint_that_loads_it():
+    with pytest.raises(testbed.TestbedError) as caught:
+        TableEnv("step")
+    assert eval(caught.value.hint).name == "step"

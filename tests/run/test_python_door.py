@@ -25,6 +25,11 @@ def run(hold):
     return testbed.fly(hold)
 
 
+@pytest.fixture(scope="module")
+def logged(hold, tmp_path_factory):
+    return testbed.fly(hold, log=tmp_path_factory.mktemp("logged") / "run")
+
+
 def test_the_import_is_light():
     code = (
         "import sys, testbed; heavy = {'numba', 'scipy', 'zenoh', 'rerun', 'click', 'numpy'};"
@@ -242,7 +247,17 @@ def test_two_twins_of_one_seed_fly_the_same(hold):
         (lambda e, r: testbed.sweep(e, seeds=2), "seeds", "a list of seeds", "2"),
         (lambda e, r: testbed.sweep(e, jobs=0), "sweep, jobs", "1 or more", "0"),
         (lambda e, r: testbed.fly_many([e], jobs=0), "fly_many, jobs", "1 or more", "0"),
-        (lambda e, r: testbed.sweep(e, {"seed": [None]}), "over['seed']", "a number", "None"),
+        (
+            lambda e, r: testbed.sweep(e, {"duration_s": [None]}),
+            "over['duration_s']", "a number", "None",
+        ),
+        (lambda e, r: testbed.sweep(e, {"seed": [1, 2]}), "sweep, over", "other than", "'seed'"),
+        (lambda e, r: testbed.sweep(e, seeds=["a"]), "sweep, seeds", "whole numbers", "'a'"),
+        (lambda e, r: testbed.sweep(e, seeds=[1.5]), "sweep, seeds", "whole numbers", "1.5"),
+        (lambda e, r: testbed.sweep(e, seeds=[3, -1]), "sweep, seeds", "whole numbers", "-1"),
+        (lambda e, r: testbed.fly_many([e], limit_s="x"), "limit_s", "above 0", "'x'"),
+        (lambda e, r: testbed.fly_many([e], limit_s=-1), "limit_s", "above 0", "-1"),
+        (lambda e, r: testbed.fly_many([e], limit_s=math.nan), "limit_s", "above 0", "nan"),
         (lambda e, r: e.with_(duration_s=None), "with_, duration_s", "a number", "None"),
         (lambda e, r: e.with_(inject=[{"at_s": None}]), "inject.at_s", "a number", "None"),
         (lambda e, r: testbed.replay("flown"), "replay, run", "testbed.open_run", "'flown'"),
@@ -260,6 +275,37 @@ def test_a_wrong_argument_says_where_and_what(hold, run, call, where, expected, 
     assert where in error.where
     assert expected in error.expected
     assert found in error.found
+
+
+@pytest.mark.parametrize(
+    ("call", "where"),
+    [
+        (lambda e, r: e.with_({"controller.bandwith": 0.3}), "with_: "),
+        (lambda e, r: testbed.load("hold", "controller.bandwith=0.3"), "testbed.load: "),
+        (lambda e, r: testbed.load("hold", "seed"), "testbed.load"),
+        (lambda e, r: testbed.sweep(e, {"controller.bandwith": [0.3]}), "testbed.sweep, over: "),
+        (lambda e, r: testbed.replay(r, "controller.bandwith=0.3"), "testbed.replay: "),
+        (lambda e, r: r.fork(1.0, {"controller.bandwith": 0.3}), "fork: "),
+    ],
+)
+def test_a_wrong_key_is_not_one_of_the_command_line(hold, logged, call, where):
+    with pytest.raises(testbed.TestbedError) as caught:
+        call(hold, logged)
+    assert caught.value.where.startswith(where)
+    assert "command line" not in str(caught.value)
+
+
+def test_a_sweep_over_seeds_is_refused_with_the_argument_for_them(hold):
+    with pytest.raises(testbed.TestbedError) as caught:
+        testbed.sweep(hold, {"seed": range(1, 3)})
+    assert caught.value.hint == "seeds=[1, 2]"
+
+
+def test_a_log_in_a_place_that_is_not_writable_names_the_argument(hold, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(testbed.TestbedError, match="choose another with log=") as caught:
+        testbed.fly(hold, log=tmp_path / "file" / "run")
+    assert "--out" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
