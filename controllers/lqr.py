@@ -65,8 +65,8 @@ def steady(generator: Array, state: Array, accel: Array, disturbance: Array, fee
         generator: of the model, (2d, 2d).
         state: of the goal, (..., 2d).
         accel: of the goal, (..., d) [m/s^2].
-        drift: acceleration of the satellite without thrust, (d,) [m/s^2].
-        feed: compensation of the drift, see above.
+        disturbance: acceleration of the satellite without thrust, (d,) [m/s^2].
+        feed: compensation of the disturbance, see above.
     """
     a = accel - state @ generator[disturbance.shape[0] :].T
     return a - disturbance if feed == "disturbance" else a
