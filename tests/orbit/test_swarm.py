@@ -1,4 +1,7 @@
 import math
+import re
+import runpy
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -142,3 +145,13 @@ def test_what_is_compiled_for_a_foreign_control_is_not_kept_on_disk():
 
     assert kept(Coast())
     assert not kept(Push(1.0, 1.0))
+
+
+def test_the_control_of_the_page_flies_as_typed(tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "orbit.md"
+    (code,) = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    (tmp_path / "own.py").write_text(code)
+    flight = runpy.run_path(str(tmp_path / "own.py"))["flight"]
+    assert flight.p.shape == (101, 2, 3)
+    assert np.linalg.norm(flight.q[-1], axis=1).max() < 0.02  # braked from 0.2 m/s
+    assert (flight.spent[-1] > 0.0).any(axis=1).all()
