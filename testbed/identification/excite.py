@@ -17,7 +17,7 @@ from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 from testbed.identification.estimate import linearise, normal
 from testbed.identification.model import VehicleModel
-from testbed.identification.motion import IDENTIFIABLE, LENGTH, SURE
+from testbed.identification.motion import IDENTIFIABLE, SURE
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves, schedule_of, used_before
 from testbed.identification.synthetic import excitation, flown_log
@@ -78,7 +78,7 @@ def _one(
     rate = min(50.0, table.mocap.rate_hz)
     log = flown_log(vehicle, table, inputs, seconds, rng, rate, 0.0, 0.0)
     model = VehicleModel(vehicle, valves=True, table=table)
-    windows = tiled(log, LENGTH)
+    windows = tiled(log, log.window_s)
     free = np.arange(len(model.names))
     noise = np.radians(table.mocap.noise_deg)
     scales = np.array([table.mocap.noise, table.mocap.noise, noise])

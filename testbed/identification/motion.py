@@ -21,7 +21,6 @@ from testbed.identification.suspicion import Suspicion, start_of, suspicions
 from testbed.identification.windows import Windows, tiled
 
 Array = NDArray[np.float64]
-LENGTH = 2.5  # [s] of a window of the fit
 FEWEST_WINDOWS = 3
 IDENTIFIABLE = (
     0.6  # standard deviation over that of the prior: above, the log does not tell the number
@@ -100,9 +99,10 @@ def _calibrated(
         raise RefusedError(refusing, where)
     windows = _windows(logs)
     if sum(len(w.rows) for w in windows) < FEWEST_WINDOWS:
+        least = FEWEST_WINDOWS * logs[0].window_s
         raise LogRefusedError(
-            where=where, expected=f"at least {FEWEST_WINDOWS * LENGTH:g} s of undisturbed flight",
-            found="less", hint="see [use] of the mapping",
+            where=where, expected=f"at least {least:g} s of undisturbed flight", found="less",
+            hint="see [use] of the mapping",
         )  # fmt: skip
     model, jets, wide = _fitted_widely(model, logs, windows, progress)
     if model.valves:
@@ -260,7 +260,7 @@ def admitted(
 
 
 def _windows(logs: Sequence[MotionLog]) -> list[Windows]:
-    return [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
+    return [w for w in (tiled(log, log.window_s) for log in logs) if len(w.rows)]
 
 
 def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[VehicleModel, list[Suspicion]]:
@@ -308,7 +308,7 @@ def identifiable(calibration: Calibration, k: int) -> bool:
     """Whether the logs tell the number `k` of the model."""
     c = calibration
     told = k in c.wide.free and k not in c.held
-    always = c.model.parameters[k].group in ("delay", "slope")  # a fit needs these
+    always = c.model.parameters[k].group in ("delay", "slope", "droop")  # a fit needs these
     far = c.wide.sigma[k] if always else reach(c, k)
     return bool(told and far < IDENTIFIABLE * c.model.sigma[k])
 

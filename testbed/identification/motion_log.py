@@ -29,6 +29,7 @@ class MotionLog(NamedTuple):
     inputs: Inputs
     notes: list[str]  # what was left out, and why
     vehicle: Vehicle | None = None  # as it was flown, where the log says it
+    window_s: float = 2.5  # length of the windows of a fit [s]
 
 
 def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:

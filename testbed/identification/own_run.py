@@ -16,6 +16,11 @@ from testbed.identification.prediction import Valves
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, log_of
 
+# A run's commands answer the noise of its poses. In windows of 2.5 s, each with a state of its own,
+# that looks like a smaller inertia (4 of 20 intervals missed it); a laboratory's log on a rough
+# table needs short ones.
+WINDOW_S = 6.0
+
 
 def read_run_log(folder: Path, body: str | None) -> MotionLog:
     """Read one vehicle's motion log from a run folder.
@@ -64,9 +69,8 @@ def read_run_log(folder: Path, body: str | None) -> MotionLog:
     down = up + own.on[ticks, jets]
     inputs = Valves(up[order], down[order], jets[order].astype(np.int64))
     whole = np.ones(len(t), dtype=bool)
-    return MotionLog(
-        str(folder), digest(path), t, pose, whole, inputs, gaps(t), _flown(path.parent, body)
-    )
+    flown = _flown(path.parent, body)
+    return MotionLog(str(folder), digest(path), t, pose, whole, inputs, gaps(t), flown, WINDOW_S)
 
 
 def _flown(folder: Path, body: str) -> Vehicle | None:
