@@ -1,6 +1,7 @@
 """The operator's command, in this process or in one of its own."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -47,6 +48,11 @@ def testbed() -> Callable[..., Result]:
     return call
 
 
+def hear_interrupts() -> None:
+    """A shell that starts the tests with `&` has them, and all their processes, ignore Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.fixture
 def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Start the command in a process of its own; what is left of it is ended afterwards."""
@@ -58,7 +64,7 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
         process = subprocess.Popen(
             [*wrapper, sys.executable, "-m", "testbed", *map(str, words)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env=os.environ | {"PYTHONPATH": str(ROOT)} | env,
+            env=os.environ | {"PYTHONPATH": str(ROOT)} | env, preexec_fn=hear_interrupts,
         )  # fmt: skip
         processes.append(process)
         return process

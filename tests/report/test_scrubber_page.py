@@ -5,6 +5,8 @@ import os
 import re
 import subprocess
 import sys
+import threading
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ Image = pytest.importorskip("PIL.Image")
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_BYTES = 3_000_000
+TITLE = "document.querySelector('h1')"
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +59,17 @@ def test_a_long_name_does_not_widen_the_page(browser, crash, tmp_path):
     page.write_text(html)
     with browser.Browser(400, 800) as opened:
         opened.open(page.as_uri())
-        assert opened.value("document.documentElement.scrollWidth") <= 400
+        assert loaded(opened, "document.documentElement.scrollWidth") <= 400
+
+
+def loaded(page, script):
+    """The value of an expression, once the page is there."""
+    for _ in range(1000):
+        with suppress(ConnectionError):  # in the middle of the navigation
+            if found := page.value(f"document.readyState === 'complete' && {TITLE} && {script}"):
+                return found
+        threading.Event().wait(0.05)
+    raise AssertionError("the page is not loaded")
 
 
 def text(page, selector: str) -> str:

@@ -189,7 +189,7 @@ def test_a_misspelt_choice_is_refused(arguments, said):
 
 def test_an_experiment_is_loaded_first():
     for kind in (TableEnv, FleetEnv):
-        with pytest.raises(testbed.TestbedError, match=r"testbed.load\('step'\)"):
+        with pytest.raises(testbed.TestbedError, match=r"testbed.load\('.*step.toml'\)"):
             kind("step")
 
 
