@@ -15,9 +15,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-import testbed
 from sim_twin.ground import lay, tilt_at
-from testbed.config import SHIPPED, load
 from testbed.core.error import TestbedError
 from testbed.identification.cameras import latency_of
 from testbed.identification.columns import read_columns, read_sources
@@ -34,7 +32,6 @@ from testbed.identification.motion import (
     thrusts,
 )
 from testbed.identification.motion_log import read_motion_log
-from testbed.identification.own_run import read_run_log
 from testbed.identification.suspicion import suspicions
 from testbed.identification.synthetic import drawn, excitation, flown_log, rough, steered
 from testbed.identification.table_file import load_table
@@ -42,7 +39,6 @@ from testbed.identification.thrust_stand import thrust_of
 from testbed.identification.validation import errors_ahead
 from testbed.identification.vehicle_file import load_vehicle
 from testbed.identification.windows import ahead_of, sliding, tiled
-from testbed.rig.twin import make_twin
 
 STAND = (0.4415, 0.4307, 0.4277, 0.4380, 0.4689, 0.4468, 0.4670, 0.4841)  # [N] UKY's table
 WEIGHT = np.array([1e3, 1e3, 3e2])
@@ -107,55 +103,6 @@ def synthetic(count, seconds):
     print(
         f"synthetic: dead jet found {dead} of {count}; unexcited jet reported {silent} of {count}"
     )
-
-
-def own_runs(count):
-    """Runs of this project in closed loop, also with noisy cameras and a light, slow vehicle."""
-    slow = ["valve.open_delay_s=0.02", "valve.close_delay_s=0.02", "valve.min_off_s=0.03"]
-    light = [f"vehicles.*.model.{word}" for word in ["mass=4.0", "inertia=0.05", *slow]]
-    noisy = ["table.mocap.noise=0.0005", "table.mocap.noise_deg=0.1"]
-    cases = {
-        "step": ("step", []), "step, 0.5 mm": ("step", noisy), "square, 0.5 mm": ("square", noisy),
-        "square, 4 kg, 0.5 mm": ("square", [*light, *noisy]),
-    }  # fmt: skip
-    inside, worst = {}, {}
-    for case, (scenario, words) in cases.items():
-        for seed in range(count):
-            with tempfile.TemporaryDirectory() as folder:
-                path = SHIPPED / "scenarios" / f"{scenario}.toml"
-                experiment = load(path, [*words, "criteria={}", f"seed={seed + 1}"])
-                testbed.fly(experiment, log=Path(folder) / "run")
-                log = read_run_log(Path(folder) / "run", None)
-            vehicle = experiment.vehicles["sat1"].model
-            flown = make_twin(experiment).twin.plant.parameters
-            try:
-                found = calibrate_motion([log], vehicle)
-            except RefusedError as error:
-                print(f"  {case}, seed {seed + 1}: refused: {error.found}", flush=True)
-                inside.setdefault("not refused", []).append(False)
-                continue
-            heavier = vehicle.mass / flown.mass[0]  # the fit takes the file's mass
-            true = {
-                "inertia": heavier * flown.inertia[0] / vehicle.inertia,
-                "delay": flown.timing[0, 0],
-            }
-            errors = {}
-            for name, value in true.items():
-                i = found.model.index(name)
-                low, high = interval(found, i)
-                inside.setdefault(name, []).append(low <= value <= high)
-                errors[name] = found.estimate.p[i] - value
-            for row, thrust in zip(thrusts(found), heavier * flown.thrust[0], strict=True):
-                inside.setdefault("thrust", []).append(row["low_n"] <= thrust <= row["high_n"])
-                error = row["thrust_n"] / thrust - 1
-                errors["thrust"] = max(errors.get("thrust", 0.0), error, key=abs)
-            for name, error in errors.items():
-                worst.setdefault(name, []).append(abs(error))
-            print(f"  {case}, seed {seed + 1}:", {n: float(f"{e:.3g}") for n, e in errors.items()},
-                  flush=True)  # fmt: skip
-    for name, hits in inside.items():
-        far = f", largest error {max(worst[name]):.3g}" if name in worst else ""
-        print(f"own runs, {name}: inside {sum(hits)} of {len(hits)} intervals{far}")
 
 
 def rms(logs, vehicle, horizon=3.0):
@@ -397,11 +344,10 @@ def main():
     parser.add_argument("--quick", action="store_true", help="4 vehicles, 45 mutations")
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser.add_argument("--data", type=Path, default=beside, help="folder of the labs' logs")
-    parser.add_argument("--only", metavar="PART", help="for instance runs; default: all")
+    parser.add_argument("--only", metavar="PART", help="for instance uky; default: all")
     asked = parser.parse_args()
     parts = {
         "synthetic": lambda: synthetic(4 if asked.quick else 20, 120.0),
-        "runs": lambda: own_runs(1 if asked.quick else 5),
         "uky": lambda: uky(asked.data),
         "exchanged": lambda: exchanged(2 if asked.quick else 10),
         "rebuilt": lambda: rebuilt(4 if asked.quick else 20),
@@ -414,7 +360,7 @@ def main():
     for name, part in parts.items():
         if asked.only not in (None, name):
             continue
-        if name not in ("synthetic", "runs", "exchanged", "rebuilt") and not asked.data.is_dir():
+        if name not in ("synthetic", "exchanged", "rebuilt") and not asked.data.is_dir():
             print(f"{name}: skipped, no logs at {asked.data}")
             continue
         part()

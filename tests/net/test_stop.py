@@ -270,22 +270,30 @@ def test_another_process_with_the_same_number_is_left_alone(here, process):
     assert flight_note._started(pid)
 
 
-def test_a_run_on_the_twin_is_stopped(here, tmp_path):
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+def stopped_once(folder, words, ready):
+    """A run of `hold` in this folder that `testbed stop` ends as soon as it is ready."""
     run = subprocess.Popen(
-        [sys.executable, "-m", "testbed", "run", "hold", "duration_s=4000",
-         "--speed", "1", "--out", str(tmp_path / "out")],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
+        [sys.executable, "-m", "testbed", "run", "hold", *words], cwd=folder, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])},
     )  # fmt: skip
     try:
-        log = tmp_path / "out" / "log.mcap"
-        while not (log.exists() and log.stat().st_size > 20_000):
+        while not ready():
             assert run.poll() is None, run.communicate()
             threading.Event().wait(0.05)
         assert stop_everything(None, "lab") == OK
         said, errors = run.communicate(timeout=60)
     finally:
         run.kill()
+    return run, said, errors
+
+
+def test_a_run_on_the_twin_is_stopped(here, tmp_path):
+    log = tmp_path / "out" / "log.mcap"
+    words = ["duration_s=4000", "--speed", "1", "--out", "out"]
+    run, said, errors = stopped_once(
+        tmp_path, words, lambda: log.exists() and log.stat().st_size > 20_000
+    )
     assert run.returncode == 130, errors
     assert "interrupted at" in said
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["completed"] is False
@@ -322,20 +330,8 @@ time.sleep(60)
 def test_a_run_that_starts_is_stopped(here, tmp_path, capsys, rig):
     """It still reads its law; no flight follows, and nothing is left of it."""
     (tmp_path / "my_law.py").write_text(READS_LONG)
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
-    law = "controller={type='python',law='my_law.py:Mine'}"
-    run = subprocess.Popen(
-        [sys.executable, "-m", "testbed", "run", "hold", law, "--rig", rig, "--out", "out"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env, cwd=tmp_path,
-    )  # fmt: skip
-    try:
-        while not (tmp_path / "there").exists():
-            assert run.poll() is None, run.communicate()
-            threading.Event().wait(0.05)
-        assert stop_everything(None, "lab") == OK
-        said, errors = run.communicate(timeout=60)
-    finally:
-        run.kill()
+    words = ["controller={type='python',law='my_law.py:Mine'}", "--rig", rig, "--out", "out"]
+    run, said, errors = stopped_once(tmp_path, words, (tmp_path / "there").exists)
     assert (run.returncode, said, errors) == (130, "", "")
     assert capsys.readouterr().out == f"hold on the {rig}, process {run.pid}: ended\n"
     assert not (tmp_path / "out").exists()
