@@ -1,7 +1,6 @@
 """Messages that wait until the rows of many ticks are made together."""
 
-from collections.abc import Iterator, Mapping
-from itertools import islice
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from msgspec import Struct
@@ -9,6 +8,7 @@ from msgspec import Struct
 from testbed.flight.flown_span import FlownHostRows, FlownRows, FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.flight.tick_table import TICKS
+from testbed.logs.frames import Stack
 from testbed.logs.table_rows import TableRows
 from testbed.logs.tick_row import Made, RowWriter
 
@@ -16,6 +16,7 @@ LARGEST = 10 * TICKS  # messages; about a table of each of ten topics
 
 Key = tuple[str, int]  # topic, and which table
 Runs = dict[Key, Any]  # FlownRows of vehicles, FlownHostRows of laws
+Later = Callable[[], Mapping[float, Struct]]  # gives messages, by time [s]
 
 
 class Column(NamedTuple):
@@ -23,7 +24,7 @@ class Column(NamedTuple):
 
     topic: str
     kind: str
-    data: list[bytes]
+    stacks: list[Stack]
 
 
 class Columns(NamedTuple):
@@ -31,14 +32,15 @@ class Columns(NamedTuple):
 
     times: list[float]  # [s]
     columns: list[Column]
-
-    def part(self, begin: int, end: int) -> "Columns":
-        """The ticks from place `begin` to `end`."""
-        parts = [Column(topic, kind, data[begin:end]) for topic, kind, data in self.columns]
-        return Columns(self.times[begin:end], parts)
+    between: list[tuple[int, float, Made]]  # more messages: before which tick, time [s]
 
 
 Piece = tuple[float, Made] | Columns
+
+
+def nothing() -> Mapping[float, Struct]:
+    """No messages."""
+    return {}
 
 
 class _One(NamedTuple):
@@ -58,17 +60,37 @@ class _One(NamedTuple):
 
 
 class _Span(NamedTuple):
-    """Ticks that were flown together, and messages before and after some of them, by time [s]."""
+    """Ticks that were flown together; names before some of them, and messages of `topic` after."""
 
     span: FlownSpan
     before: Mapping[float, list[Made]]
-    after: Mapping[float, list[Made]]
+    topic: str
+    later: Later
 
     def runs(self) -> Runs:
         """The rows of tables that they are."""
         span = self.span
         vehicles = {(f"/{n}/tick", id(rows.table)): rows for n, rows in span.vehicles.items()}
         return vehicles | {(f"/{n}/host", id(rows.table)): rows for n, rows in span.hosts.items()}
+
+
+class _Queue:
+    """The messages of one topic that have been made, in order."""
+
+    def __init__(self, stacks: list[Stack]) -> None:
+        self._stacks = stacks[::-1]
+
+    def take(self, number: int) -> list[Stack]:
+        """The next so many."""
+        taken = []
+        while number > 0:
+            stack = self._stacks.pop()
+            if len(stack) > number:
+                self._stacks.append(stack.part(number, len(stack)))
+                stack = stack.part(0, number)
+            taken.append(stack)
+            number -= len(stack)
+        return taken
 
 
 class Block:
@@ -86,26 +108,22 @@ class Block:
         self._waiting.append(_One(t, topic, message))
         self._number += 1
 
-    def add_span(self, span: FlownSpan, topic: str, messages: Mapping[float, Struct]) -> None:
+    def add_span(self, span: FlownSpan, topic: str = "", later: Later = nothing) -> None:
         """Append ticks that were flown together, and the truth after each.
 
         Args:
             span: the ticks.
-            topic: of `messages`.
-            messages: after some of the ticks, by time [s].
+            topic: of the messages that `later` gives.
+            later: gives messages after some of the ticks, by time [s]; called when rows are made.
         """
-        writer, before, after = self._writer, {}, {}
-        for t in span.times:
-            if made := writer.new_names(t):
-                before[t] = made
-            if t in messages:
-                after[t] = writer.rows(topic, t, messages[t])
-        self._waiting.append(_Span(span, before, after))
+        before = {t: made for t in span.times if (made := self._writer.new_names(t))}
+        self._waiting.append(_Span(span, before, topic, later))
         self._number += len(span.times) * (1 + len(span.vehicles) + len(span.hosts))
 
     def take(self) -> list[Piece]:
         """All messages so far, in order; rows of one table are made together."""
         waiting, self._waiting, self._number = self._waiting, [], 0
+        between = [self._between(one) for one in waiting if isinstance(one, _Span)][::-1]
         joined: Runs = {}
         for one in waiting:
             for key, rows in one.runs().items():
@@ -114,34 +132,35 @@ class Block:
                 else:
                     joined[key] = rows.part(0, len(rows))
         made = {
-            key: iter(TableRows(self._writer, key[0]).messages(rows))
+            key: _Queue(TableRows(self._writer, key[0]).messages(rows))
             for key, rows in joined.items()
         }
         taken: list[Piece] = []
         for one in waiting:
             if isinstance(one, _Span):
-                taken += self._of_span(one, made)
+                taken.append(Columns(one.span.times, self._columns(one, made), between.pop()))
             elif isinstance(one.message, Made):
                 taken.append((one.t, one.message))
             else:
-                data = next(made[one.topic, id(one.message.table)])
-                taken.append((one.t, Made(one.topic, kind_of(one.topic), data)))
+                (stack,) = made[one.topic, id(one.message.table)].take(1)
+                (data,) = stack
+                taken.append((one.t, Made(one.topic, kind_of(one.topic), bytes(data))))
         return taken
 
-    def _of_span(self, one: _Span, made: Mapping[Key, Iterator[bytes]]) -> Iterator[Piece]:
-        times, begin = one.span.times, 0
-        columns = [
-            Column(key[0], kind_of(key[0]), list(islice(made[key], len(times))))
-            for key in one.runs()
-        ]
-        columns.append(Column("/truth", "Truth", TableRows(self._writer, "/truth").truth(one.span)))
-        for i, t in enumerate(times):
-            for end, more in ((i, one.before.get(t)), (i + 1, one.after.get(t))):
-                if more:
-                    yield Columns(times, columns).part(begin, end)
-                    yield from ((t, message) for message in more)
-                    begin = end
-        yield Columns(times, columns).part(begin, len(times))
+    def _between(self, one: _Span) -> list[tuple[int, float, Made]]:
+        """The messages before and after some ticks of a span."""
+        more, found = one.later(), []
+        for k, t in enumerate(one.span.times):
+            found += [(k, t, made) for made in one.before.get(t, ())]
+            if t in more:
+                found += [(k + 1, t, made) for made in self._writer.rows(one.topic, t, more[t])]
+        return found
+
+    def _columns(self, one: _Span, made: Mapping[Key, _Queue]) -> list[Column]:
+        n = len(one.span.times)
+        columns = [Column(key[0], kind_of(key[0]), made[key].take(n)) for key in one.runs()]
+        truth = TableRows(self._writer, "/truth").truth(one.span)
+        return [*columns, Column("/truth", "Truth", [truth])]
 
 
 def kind_of(topic: str) -> str:

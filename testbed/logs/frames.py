@@ -1,5 +1,7 @@
 """What the recorder sends to the writer's process; small, because that process starts first."""
 
+from collections.abc import Iterator
+
 from msgspec import Struct
 
 READY = b"ready\n"  # the writer's first line
@@ -18,21 +20,55 @@ class Topic(Struct, frozen=True, tag=True, array_like=True):
     kind: str  # of its messages, see `core/records`
 
 
-class Rows(Struct, frozen=True, array_like=True, gc=False):
+class One(Struct, frozen=True, tag=True, array_like=True, gc=False):
+    """One message."""
+
+    topic: int
+    stamp: int  # time of the run [ns]
+    data: bytes
+
+    def __len__(self) -> int:
+        return 1
+
+
+class Stack(Struct, frozen=True, array_like=True, gc=False):
+    """Messages of one size, one after the other, with spare bytes before each."""
+
+    pitch: int  # from one to the next [bytes]
+    spare: int  # bytes before each
+    data: memoryview
+
+    def __len__(self) -> int:
+        return len(self.data) // self.pitch
+
+    def __iter__(self) -> Iterator[memoryview]:
+        for at in range(0, len(self.data), self.pitch):
+            yield self.data[at + self.spare : at + self.pitch]
+
+    def part(self, begin: int, end: int) -> "Stack":
+        """The messages from place `begin` to `end`."""
+        return Stack(self.pitch, self.spare, self.data[begin * self.pitch : end * self.pitch])
+
+
+class Table(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """Messages of several topics at the same times: time by time, in the order of the topics."""
 
     topics: list[int]
     stamps: list[int]  # times of the run [ns]
-    data: list[list[bytes]]  # of each topic, one for each time
+    columns: list[list[Stack]]  # of each topic, with a message for each time
+    between: list[tuple[int, One]]  # more messages, each before the time at this place
+
+    def __len__(self) -> int:
+        return len(self.topics) * len(self.stamps) + len(self.between)
 
 
 class Messages(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """To the writer: messages in order."""
 
-    rows: list[Rows]
+    parts: list[One | Table]
 
     def __len__(self) -> int:
-        return sum(len(one.topics) * len(one.stamps) for one in self.rows)
+        return sum(map(len, self.parts))
 
 
 class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):

@@ -9,7 +9,9 @@ to stderr, one per line; if the writer fails, its last line is the reason.
 
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from queue import Queue
 from threading import Thread
@@ -22,7 +24,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, Rows, Topic
+from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, One, Table, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
@@ -165,9 +167,12 @@ def write_log(
     try:
         for frame in received:
             match frame:
-                case Messages(several):
-                    for rows in several:
-                        copy(rows, topics, log, extras)
+                case Messages(parts):
+                    for one in chain.from_iterable(map(singly, parts)):
+                        channel, topic = topics[one.topic]
+                        log.add(channel, one.stamp, one.data)
+                        for more in extras.of(topic.name, topic.kind, one.stamp, one.data):
+                            log.add(log.topic(more.topic, more.kind), one.stamp, more.data)
                 case Mark():
                     log.mcap.flush()
                     if warning := disk.check():
@@ -185,14 +190,19 @@ def write_log(
         raise
 
 
-def copy(rows: Rows, topics: list[tuple[int, Topic]], log: Log, extras: Extras) -> None:
-    """Append messages of these (channels and) topics, and the standard messages beside them."""
-    for stamp, *row in zip(rows.stamps, *rows.data, strict=True):
-        for number, data in zip(rows.topics, row, strict=True):
-            channel, topic = topics[number]
-            log.add(channel, stamp, data)
-            for name, kind, extra in extras.of(topic.name, topic.kind, stamp, data):
-                log.add(log.topic(name, kind), stamp, extra)
+def singly(part: One | Table) -> Iterator[One]:
+    """The messages of a part, in order."""
+    if isinstance(part, One):
+        yield part
+        return
+    columns = [chain.from_iterable(stacks) for stacks in part.columns]
+    between = deque(part.between)
+    for k, (stamp, *row) in enumerate(zip(part.stamps, *columns, strict=True)):
+        while between and between[0][0] == k:
+            yield between.popleft()[1]
+        for topic, data in zip(part.topics, row, strict=True):
+            yield One(topic, stamp, bytes(data))
+    yield from (one for _, one in between)
 
 
 def finish(writer: Writer, file: File) -> None:

@@ -30,7 +30,7 @@ import select
 import struct
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
@@ -42,8 +42,8 @@ from msgspec import Struct
 from testbed.core.error import TestbedError
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
-from testbed.logs.block import LARGEST, Block, Column, Columns, Piece
-from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, Rows, Topic
+from testbed.logs.block import LARGEST, Block, Columns, Later, Piece, nothing
+from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, One, Table, Topic
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
@@ -58,7 +58,6 @@ CAREFUL_SPAN_NS = 5_000_000_000  # the same with a user's law, which may end the
 WARN_BELOW = 500_000_000  # free disk space below which to warn [bytes]
 END_BELOW = 20_000_000  # free disk space below which to finish the log [bytes]
 
-NOTHING: Mapping[float, Struct] = {}
 SCENE = "visualization_msgs/MarkerArray"
 
 
@@ -125,7 +124,7 @@ class Recorder:
         self._marked = -span_ns  # time of the last mark [ns]
         self._said = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line
-        self._pack = msgspec.msgpack.Encoder().encode
+        self._pack = msgspec.msgpack.Encoder().encode_into
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
         self._block, self._fast = Block(self._rows), span_ns > SPAN_NS
@@ -181,22 +180,20 @@ class Recorder:
         for one in rows:
             self.append(one.topic, one.kind, t, one.data)
 
-    def write_span(
-        self, span: FlownSpan, topic: str = "", messages: Mapping[float, Struct] = NOTHING
-    ) -> None:
+    def write_span(self, span: FlownSpan, topic: str = "", later: Later = nothing) -> None:
         """Append ticks, the truth after each, and a message of `topic` after some.
 
         Args:
             span: the ticks.
-            topic: of the messages.
-            messages: by time of the tick [s].
+            topic: of the messages that `later` gives.
+            later: gives messages by time of the tick [s]; called when the rows are made.
 
         Raises:
             RecorderError: see `write`.
         """
         if not self._met:
             self.meet()
-        self._block.add_span(span, topic, messages)
+        self._block.add_span(span, topic, later)
 
     def due_in(self, times: Sequence[float]) -> int:
         """How many of the ticks at these times come until the next `mark`."""
@@ -215,17 +212,18 @@ class Recorder:
     def _append(self, pieces: Sequence[Piece]) -> None:
         if not self._met:
             self.meet()
-        rows = []
-        for piece in pieces:
-            if isinstance(piece, Columns):
-                times, columns = piece
-            else:
-                t, one = piece
-                times, columns = [t], [Column(one.topic, one.kind, [one.data])]
-            numbers = [self._number(one.topic, one.kind) for one in columns]
-            stamps = [round(t * 1e9) for t in times]
-            rows.append(Rows(numbers, stamps, [one.data for one in columns]))
-        self._send(Messages(rows))
+        self._send(Messages([self._part(piece) for piece in pieces]))
+
+    def _part(self, piece: Piece) -> One | Table:
+        if not isinstance(piece, Columns):
+            return self._one(*piece)
+        numbers = [self._number(one.topic, one.kind) for one in piece.columns]
+        stamps = [round(t * 1e9) for t in piece.times]
+        between = [(k, self._one(t, made)) for k, t, made in piece.between]
+        return Table(numbers, stamps, [one.stacks for one in piece.columns], between)
+
+    def _one(self, t: float, made: Made) -> One:
+        return One(self._number(made.topic, made.kind), round(t * 1e9), made.data)
 
     def _number(self, topic: str, kind: str) -> int:
         """The number of a topic, of which the writer is told when it is new."""
@@ -296,9 +294,10 @@ class Recorder:
         if len(self._pending) > LARGEST_BACKLOG and not isinstance(frame, Topic):
             self.lost += len(frame) if isinstance(frame, Messages) else 0
             return
-        packed = self._pack(frame)
-        self._pending += len(packed).to_bytes(4, "little")
-        self._pending += packed
+        begin = len(self._pending) + 4  # after the frame's length
+        self._pending += bytes(4)
+        self._pack(frame, self._pending, begin)
+        self._pending[begin - 4 : begin] = (len(self._pending) - begin).to_bytes(4, "little")
         if len(self._pending) >= PIECE:
             self._hand_over()
 

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from testbed.core.codes import InhibitReason, Intervention
 from testbed.core.records.definition import DTYPES, MESSAGES
 from testbed.core.records.kinds import Active, SetpointKind
-from testbed.core.records.layout import COUNT, WORD, Layout, Rows
+from testbed.core.records.layout import COUNT, SPARE, WORD, Layout, Rows
 from testbed.flight.flown_span import FlownHostRows, FlownRows, FlownSpan
 from testbed.flight.record import ROW
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES
+from testbed.logs.frames import Stack
 from testbed.logs.tick_row import RowWriter, value_of
 
 Array = NDArray[np.float64]
@@ -106,7 +107,7 @@ class TableRows:
     def __init__(self, writer: RowWriter, topic: str) -> None:
         self._writer, self._topic = writer, topic
 
-    def truth(self, span: FlownSpan) -> list[bytes]:
+    def truth(self, span: FlownSpan) -> Stack:
         """The messages of the true states at ticks."""
         n, vehicles, _ = span.truth.shape
         packer, names = self._writer.packer(self._topic, "Truth"), self._writer.names
@@ -115,9 +116,9 @@ class TableRows:
         rows = Layout("Truth", {"vehicles": packer.most[0]}).rows(n)
         rows.fixed["t"][:n] = span.times
         _fill(rows, "vehicles", span.truth, np.full(n, vehicles))
-        return rows.messages(n)
+        return _stack(rows, n)
 
-    def messages(self, ticks: FlownRows | FlownHostRows) -> list[bytes]:
+    def messages(self, ticks: FlownRows | FlownHostRows) -> list[Stack]:
         """The messages of ticks."""
         make: Callable[..., None] = self._tick
         name, longest = "Tick", _longest(ticks)
@@ -131,7 +132,7 @@ class TableRows:
             names = [one.name for one in MESSAGES[name].sequences]
             rows = Layout(name, dict(zip(names, packer.most, strict=True))).rows(len(some))
             make(rows, some, some.rows)
-            made += rows.messages(len(some))
+            made.append(_stack(rows, len(some)))
             begin = int(end)
         return made
 
@@ -207,6 +208,12 @@ class TableRows:
             outputs["faults"][i] = writer.held(ticks[i].outputs.faults)
         for i in np.flatnonzero(done["hazard"] >= 0).tolist():
             self._intervene(outputs["filtered"][i : i + 1], ticks[i].outputs.filtered)
+
+
+def _stack(rows: Rows, number: int) -> Stack:
+    """The messages of the first rows; their memory is not copied."""
+    memory = rows.memory[:number]
+    return Stack(memory.shape[1], SPARE, memory.reshape(-1).data)
 
 
 def _longest(ticks: FlownRows | FlownHostRows) -> NDArray[np.int64]:

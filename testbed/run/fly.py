@@ -1,7 +1,7 @@
 """One run: fly the experiment on its rig, write the log, judge the flight."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from controllers.catalogue import UsersLaw
 from testbed.config import Experiment
@@ -30,7 +29,6 @@ from testbed.logs.recorder import (
     Truth,
 )
 from testbed.logs.tick_row import Names
-from testbed.metrics.characterisation import Characterisation, characterise_each
 from testbed.metrics.run_metrics import Metrics, ReferenceLog, with_jets
 from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
@@ -40,13 +38,10 @@ from testbed.rig.ahead import compiling_ahead
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver, handles_single_ticks
 from testbed.rig.twin import TwinRig, make_twin, warm_up
+from testbed.run.formation_log import FormationLog
 from testbed.run.interrupt import Interrupt
 from testbed.run.judge import measure
 from testbed.run.markers import scene_of
-
-Array = NDArray[np.float64]
-
-FORMATION_S = 1.0  # log period of the five formation elements [s]
 
 
 class FlightScreen(NullObserver):
@@ -87,7 +82,7 @@ class FlightLog:
         self._logged = 0  # number of phase changes in the log
         self._dated = False  # whether the log's time is settled
         self.trouble: str | None = None  # error of the log's writer, which ends the flight
-        self._next = 0.0  # next time to log the five elements [s]
+        self._formation = FormationLog()
 
     def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
@@ -113,22 +108,11 @@ class FlightLog:
         while span.times:
             n = self._recorder.due_in(span.times)
             part, span = span.part(0, n), span.part(n, len(span.times))
-            elements = self._elements(part.times, part.truth)
-            self._write(partial(self._recorder.write_span, part, "/formation", elements))
+            self._formation.note(part.times, part.truth)
+            later = self._formation.found
+            self._write(partial(self._recorder.write_span, part, "/formation", later))
             self._mark(part.times[-1])
         self.reports()
-
-    def _elements(self, times: Sequence[float], x: Array) -> dict[float, Characterisation]:
-        """The five elements of the true states `x`, (n, v, 6), at the times to log them."""
-        due = []
-        for k, t in enumerate(times):
-            if x.shape[1] > 1 and t >= self._next:
-                self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
-                due.append(k)
-        if not due:
-            return {}
-        found = characterise_each(x[due][:, :, :2], x[due][:, :, 3:5])
-        return {times[k]: one for k, one in zip(due, found, strict=True)}
 
     def reports(self) -> None:
         """Log what boards, wires and the supervisor have reported since the last call."""
@@ -171,8 +155,9 @@ class FlightLog:
         heartbeat().beat()
         truth = dict(self._rig.truth())
         self._record("/truth", t, Truth(t, {name: Motion(*x) for name, x in truth.items()}))
-        for one in self._elements([t], np.array([*truth.values()]).reshape(1, -1, 6)).values():
-            self._record("/formation", t, one)
+        self._formation.note([t], np.array([*truth.values()]).reshape(1, -1, 6))
+        if (elements := self._formation.found().get(t)) is not None:
+            self._record("/formation", t, elements)
         self.reports()
         if (loop := self._rig.loop) is not None:
             self._record("/loop", t, Loop(t, *loop))

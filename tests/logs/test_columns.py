@@ -22,7 +22,7 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.logs.columns import Columns, shape_of
-from testbed.logs.frames import Mark, Messages, Rows, Topic
+from testbed.logs.frames import Mark, Messages, One, Topic
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_writer import Disk, write_log
@@ -87,7 +87,7 @@ def test_a_log_of_another_version_has_columns(tmp_path, monkeypatch):
     writer, message = RowWriter(), HostTick(HostInputs(0.5, None, {}), HostOutputs(0.5, None))
     row = writer.rows("/sat1/host", 0.5, message)[-1].data
     monkeypatch.setattr("testbed.logs.mcap_writer.schema_text", lambda kind: text)
-    frames = [Topic("/sat1/host", "HostTick"), Messages([Rows([0], [5 * 10**8], [[row]])]), Mark()]
+    frames = [Topic("/sat1/host", "HostTick"), Messages([One(0, 5 * 10**8, row)]), Mark()]
     write_log(tmp_path / "log.mcap", iter(frames), Disk(lambda: 10**12, 0, 0), str)
     rows = Columns(LogReader(tmp_path / "log.mcap")).rows["/sat1/host"]
     assert rows["inputs"]["t"].tolist() == [0.5]
@@ -107,7 +107,7 @@ def test_the_schema_in_a_log_gives_the_same_columns(name):
 def test_bytes_that_are_no_rows_are_an_error(tmp_path):
     for data in (b"", b"{}", b"\0\1\0\0" + bytes(100)):
         path = tmp_path / f"{len(data)}.mcap"
-        frames = [Topic("/sat1/host", "HostTick"), Messages([Rows([0], [0], [[data]])]), Mark()]
+        frames = [Topic("/sat1/host", "HostTick"), Messages([One(0, 0, data)]), Mark()]
         write_log(path, iter(frames), Disk(lambda: 10**12, 0, 0), str)
         with pytest.raises(LogError, match="/sat1/host"):
             Columns(LogReader(path))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from testbed.logs.frames import Epoch, Mark, Messages, Rows, Topic
+from testbed.logs.frames import Epoch, Mark, Messages, One, Topic
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_record import HEAD, Message, read_chunk
 from testbed.logs.mcap_writer import Disk, write_log
@@ -31,7 +31,7 @@ def content(tmp_path_factory) -> bytes:
         yield Topic("/sat1/pace", "Pace")
         yield Topic("/truth", "Truth")
         for k in range(COUNT):
-            one = Rows([k % 2], [k * 10**7], [[begun(k) + rng.bytes(40).hex().encode()]])
+            one = One(k % 2, k * 10**7, begun(k) + rng.bytes(40).hex().encode())
             yield Messages([one])
             if k % 4 == 3:
                 yield Mark()

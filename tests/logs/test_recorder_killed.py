@@ -11,20 +11,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from testbed.logs.frames import Mark, Messages, One, Stack, Table, Topic
 from testbed.logs.log_reader import LogReader
-from testbed.logs.mcap_writer import Disk, DiskFullError, frames, write_log
+from testbed.logs.mcap_writer import Disk, DiskFullError, frames, singly, write_log
 from testbed.logs.packing import Packer
-from testbed.logs.recorder import (
-    SPAN_NS,
-    Mark,
-    Messages,
-    Motion,
-    Recorder,
-    RecorderError,
-    Rows,
-    Topic,
-    Truth,
-)
+from testbed.logs.recorder import SPAN_NS, Motion, Recorder, RecorderError, Truth
 
 HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 PERIOD = 0.01  # [s] of the run between two messages
@@ -90,7 +81,7 @@ def chunked(count: int) -> list:
     sent, marked = [Topic("/truth", "Truth")], -SPAN_NS
     for k in range(count):
         now = k * 10**7
-        sent.append(Messages([Rows([0], [now], [[row_at(now)]])]))
+        sent.append(Messages([One(0, now, row_at(now))]))
         if now - marked >= SPAN_NS:
             sent.append(Mark())
             marked = now
@@ -117,7 +108,7 @@ def test_what_is_marked_is_in_the_file(tmp_path):
         for frame in chunked(200):
             if isinstance(frame, Messages):
                 found = stamps(path)
-                lost.append(frame.rows[0].stamps[0] - (found[-1] if found else 0))
+                lost.append(frame.parts[0].stamp - (found[-1] if found else 0))
             yield frame
 
     write_log(path, watched(), Disk(lambda: 10**12, 0, 0), print)
@@ -260,12 +251,29 @@ def test_a_write_that_fails_leaves_a_whole_file(tmp_path, monkeypatch):
 def test_a_frame_that_is_cut_off_was_never_sent():
     import msgspec
 
-    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Messages([Rows([0], [5], [[b"abc"]])]))]
+    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Messages([One(0, 5, b"abc")]))]
     stream = b"".join(len(p).to_bytes(4, "little") + p for p in packed)
     for size in (1, 3, 7, 100):
         pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
-        assert list(frames(iter(pieces))) == [Mark(), Messages([Rows([0], [5], [[b"abc"]])])]
+        assert list(frames(iter(pieces))) == [Mark(), Messages([One(0, 5, b"abc")])]
     assert list(frames(iter([stream[:-1]]))) == [Mark()]
+
+
+def test_a_table_gives_its_messages_time_by_time():
+    """Columns may be in several stacks of other sizes; more messages stand at their places."""
+    import msgspec
+
+    first = [Stack(4, 1, memoryview(b"-abc-def")), Stack(3, 1, memoryview(b"-gh"))]
+    second = [Stack(2, 0, memoryview(b"ABCDEF"))]
+    between = [(0, One(2, 7, b"before")), (1, One(3, 10, b"after")), (3, One(3, 30, b"last"))]
+    table = Table([0, 1], [10, 20, 30], [first, second], between)
+    assert len(Messages([table, One(0, 40, b"")])) == 10
+    (part,) = msgspec.msgpack.decode(msgspec.msgpack.encode(Messages([table])), type=Messages).parts
+    assert [(one.topic, one.stamp, one.data) for one in singly(part)] == [
+        (2, 7, b"before"), (0, 10, b"abc"), (1, 10, b"AB"), (3, 10, b"after"),
+        (0, 20, b"def"), (1, 20, b"CD"), (0, 30, b"gh"), (1, 30, b"EF"), (3, 30, b"last"),
+    ]  # fmt: skip
+    assert list(Stack(4, 1, memoryview(b"-abc-def")).part(1, 2)) == [b"def"]
 
 
 # Readers of others
