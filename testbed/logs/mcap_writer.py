@@ -90,16 +90,17 @@ def read_chunks(descriptor: int) -> Iterator[bytes]:
 def frames(pieces: Iterator[bytes]) -> Iterator[Frame]:
     """Frames of a stream; a frame that is cut off at the end is dropped."""
     decode = msgspec.msgpack.Decoder(Frame).decode
-    rest = b""
+    held = bytearray()
     for piece in pieces:
-        data, at = rest + piece, 0
-        while len(data) - at >= 4:
-            end = at + 4 + int.from_bytes(data[at : at + 4], "little")
-            if end > len(data):
+        held += piece
+        at = 0
+        while len(held) - at >= 4:
+            end = at + 4 + int.from_bytes(held[at : at + 4], "little")
+            if end > len(held):
                 break
-            yield decode(data[at + 4 : end])
+            yield decode(bytes(held[at + 4 : end]))  # a copy: the frame keeps parts of it
             at = end
-        rest = data[at:]
+        del held[:at]
 
 
 class Disk:
