@@ -2,7 +2,7 @@
 
 Exit codes: 0 flown and all criteria met; 1 flown, a criterion failed; 2 bad input; 3 aborted by a
 fault; 4 not started, because an arming check is red or the operator declined; 70 internal error (as
-in sysexits.h); 130 interrupted.
+in sysexits.h); 130 interrupted, or stopped by an operator.
 """
 
 import os
@@ -25,7 +25,7 @@ EPILOG = """\b
 Exit codes:
   0  flown, all criteria met        4  not armed: a check is red
   1  flown, a criterion failed     70  internal error: please report it
-  2  bad input                    130  interrupted
+  2  bad input                    130  interrupted, or stopped by an operator
   3  aborted by a fault
 """
 

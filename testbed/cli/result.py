@@ -28,11 +28,19 @@ def code_of(metrics: Metrics) -> int:
     """The exit code of a run."""
     if metrics.red:
         return NOT_STARTED
+    if is_stopped(metrics):
+        return INTERRUPTED
     if metrics.fault:
         return FAULT
     if not metrics.completed:
         return INTERRUPTED
     return OK if all((metrics.criteria or {}).values()) else FAILED
+
+
+def is_stopped(metrics: Metrics) -> bool:
+    """Whether an operator ended the flight on wires; that is no fault, though it is reported so."""
+    report = metrics.fault_report
+    return report is not None and report.id == FaultId.STOPPED
 
 
 def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None:
@@ -139,7 +147,7 @@ def _verdict(metrics: Metrics) -> str:
         if not met
     ]
     report = metrics.fault_report
-    if report is not None and report.id == FaultId.STOPPED:
+    if report is not None and is_stopped(metrics):
         return f"[bold yellow]{escape(report.text)}[/] after {metrics.duration_s:.1f} s: not judged"
     if metrics.fault:
         why, end, found = escape(metrics.fault), metrics.duration_s, metrics.fault_t

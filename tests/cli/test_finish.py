@@ -6,7 +6,7 @@ import msgspec
 import tomli_w
 from msgspec.structs import replace
 
-from testbed.cli.exit_code import FAULT
+from testbed.cli.exit_code import FAULT, INTERRUPTED
 from testbed.cli.finish import finish_run
 from testbed.cli.result import code_of, print_result
 from testbed.config import dump, find, load
@@ -33,4 +33,6 @@ def test_an_operators_stop_on_wires_is_not_called_a_fault(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "\nstopped by the operator after 8.2 s: not judged\n" in said
     assert "fault" not in said
-    assert code_of(metrics) == FAULT
+    assert code_of(metrics) == INTERRUPTED  # as on the twin
+    silent = FaultReport(FaultId.VEHICLE_SILENT, "vehicle silent", vehicle="sat1")
+    assert code_of(replace(metrics, fault=silent.words, fault_report=silent)) == FAULT
