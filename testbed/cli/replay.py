@@ -15,7 +15,7 @@ from testbed.config import ConfigError, load
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import LogError, config_of, log_of
 from testbed.logs.replay import Replay
-from testbed.run.api import InterruptedFlight, fork, read_folder
+from testbed.run.api import InterruptedFlight, fly_on, read_folder
 from testbed.run.fork import original_of
 from testbed.run.replay import replay_experiment
 
@@ -57,7 +57,7 @@ def fork_run(
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             original = read_folder(original_of(run))
             warn(original.damage)
-            flown = fork(original, since, *overrides, log=out)
+            flown = fly_on(original, since, *overrides, log=out, option="--out")
     except InterruptedFlight as interrupted:
         flown = interrupted.run
     except TestbedError as error:

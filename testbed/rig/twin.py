@@ -301,7 +301,7 @@ def make_twin(
     setups = experiment.vehicles
     for what in experiment.inject:
         if what.kind in ON_WIRES:
-            expected = "a fault that can be injected on the twin, or --rig bench"
+            expected = "a fault that can be injected on the twin, or the rig bench"
             raise ConfigError("this rig", "inject", expected, what.kind)
     models = {name: setup.model for name, setup in setups.items()}
     drivers = make_drivers(experiment.board, models)

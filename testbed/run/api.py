@@ -84,7 +84,7 @@ def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: 
     with ExitStack() as stack:
         if log is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="testbed-")))
-            check_space(folder)
+            check_space(folder, "log=, or the variable TMPDIR")
         else:
             folder = new_folder(
                 path_of("testbed.fly, log", log, NEW), experiment.name, option="log="
@@ -192,13 +192,26 @@ def fork(
             one in the log.
         InterruptedFlight: see `fly`.
     """
+    with told_by("fork"):
+        return fly_on(run, t, *overrides, log=log, progress=progress)
+
+
+def fly_on(
+    run: Run,
+    t: float,
+    *overrides: str,
+    log: str | Path | None = None,
+    progress: bool = False,
+    option: str = "log=",
+) -> Run:
+    """See `fork`; `option` is how the caller names another folder."""
     check_number("fork", t, "a time of the flight in seconds")
     check_overrides("fork", overrides)
     original = _logged(run, "fork")
     before = load(config_of(original))
     end = run.metrics.duration_s
-    if t >= end:  # first, because it may have ended before its experiment's end
-        expected = f"a time before the flight's end at {end:g} s"
+    if not 0.0 <= t < end:  # first, because it may have ended before its experiment's end
+        expected = f"a time of the flight, from 0 to before the flight's end at {end:g} s"
         raise ForkError(where="fork", expected=expected, found=f"{t:g} s")
     experiment = forked(before, t, overrides)
     make = _maker("twin")
@@ -206,14 +219,14 @@ def fork(
         experiment, rig = replace(experiment, board="model"), resumed(original, t)
         make = lambda folder: rig  # noqa: E731
     out = None if log is None else path_of("fork, log", log, NEW)
-    folder = new_folder(out, experiment.name, option="--out, or log= in Python")
+    folder = new_folder(out, experiment.name, option=option)
     flown = _fly(experiment, make, folder, progress)
     check_fork(original, folder, t, before, experiment)
     write_page(folder, experiment)
     return flown
 
 
-Run.fly_on = staticmethod(fork)
+Run.fly_on = staticmethod(fly_on)
 
 
 def _logged(run: Run, verb: str) -> Path:

@@ -54,7 +54,7 @@ class Run(Mapping[str, Vehicle]):
         metrics: the numbers of metrics.json.
         folder: where the run is kept; None for a run without a log.
         damage: a line for each part of the log that is missing; the rest is read.
-        fly_on: `testbed.fork`; api.py, which can fly, sets it.
+        fly_on: as `testbed.fork`; api.py, which can fly, sets it.
     """
 
     fly_on: ClassVar[Callable[..., "Run"]]

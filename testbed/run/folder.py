@@ -54,7 +54,7 @@ def new_folder(out: Path | None, name: str, option: str = "--out") -> Path:
         FolderError: the folder is not empty or not writable, or its disk is nearly full.
     """
     try:
-        check_space(Path("runs") if out is None else out)
+        check_space(Path("runs") if out is None else out, option)
         if out is not None:
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
                 found = "older files in it" if out.is_dir() else "a file"
@@ -79,8 +79,12 @@ def new_folder(out: Path | None, name: str, option: str = "--out") -> Path:
     raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
 
 
-def check_space(folder: Path) -> None:
-    """Refuse a disk on which the log would end during the flight; the folder need not exist yet.
+def check_space(folder: Path, option: str) -> None:
+    """Refuse a disk on which the log would end during the flight.
+
+    Args:
+        folder: on the disk; it need not exist yet.
+        option: how the caller names another folder.
 
     Raises:
         FolderError: less than LEAST_FREE is free.
@@ -91,7 +95,8 @@ def check_space(folder: Path) -> None:
     if free < LEAST_FREE:
         raise FolderError(
             where=str(folder), expected=f"at least {LEAST_FREE / 1e6:.0f} MB free on its disk",
-            found=f"{free / 1e6:.1f} MB", hint="free some space, or choose another disk with --out",
+            found=f"{free / 1e6:.1f} MB",
+            hint=f"free some space, or choose another disk with {option}",
         )  # fmt: skip
 
 

@@ -271,6 +271,11 @@ def test_the_command_forks(run, tmp_path, monkeypatch, capsys):
     assert fork_run(run.folder, 4.0, ["table.size=[5, 5]"], tmp_path / "c", as_json=False) == 2
     assert "key       table" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()
+    assert fork_run(run.folder, 4.0, ["sed=9"], tmp_path / "c", as_json=False) == 2
+    assert "command line: sed=9" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    assert fork_run(run.folder, 4.0, ["seed=9"], tmp_path / "file" / "c", as_json=False) == 2
+    assert "choose another with --out" in capsys.readouterr().err
     done = CliRunner().invoke(main, ["replay", word, "--out", "d"])
     assert (done.exit_code, "--out belongs to --from" in done.output) == (2, True)
 

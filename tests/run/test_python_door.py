@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -286,6 +287,8 @@ def test_a_wrong_argument_says_where_and_what(hold, run, call, where, expected, 
         (lambda e, r: testbed.sweep(e, {"controller.bandwith": [0.3]}), "testbed.sweep, over: "),
         (lambda e, r: testbed.replay(r, "controller.bandwith=0.3"), "testbed.replay: "),
         (lambda e, r: r.fork(1.0, {"controller.bandwith": 0.3}), "fork: "),
+        (lambda e, r: testbed.fork(r, 1.0, "controller.bandwith=0.3"), "fork: "),
+        (lambda e, r: testbed.fork(r, 1.0, "seed"), "fork"),
     ],
 )
 def test_a_wrong_key_is_not_one_of_the_command_line(hold, logged, call, where):
@@ -301,11 +304,37 @@ def test_a_sweep_over_seeds_is_refused_with_the_argument_for_them(hold):
     assert caught.value.hint == "seeds=[1, 2]"
 
 
-def test_a_log_in_a_place_that_is_not_writable_names_the_argument(hold, tmp_path):
+def test_a_log_in_a_place_that_is_not_writable_names_the_argument(hold, logged, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(testbed.TestbedError, match="choose another with log=") as caught:
         testbed.fly(hold, log=tmp_path / "file" / "run")
     assert "--out" not in str(caught.value)
+    with pytest.raises(testbed.TestbedError, match="choose another with log=") as caught:
+        testbed.fork(logged, 1.0, log=tmp_path / "file" / "run")
+    assert "--out" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "cure"),
+    [
+        (lambda e, r: testbed.fly(e), "log=, or the variable TMPDIR"),
+        (lambda e, r: testbed.fly(e, log="new"), "log="),
+        (lambda e, r: testbed.fork(r, 1.0), "log="),
+    ],
+)
+def test_a_full_disk_names_the_argument_for_another(hold, logged, monkeypatch, call, cure):
+    full = SimpleNamespace(free=1_000_000)
+    monkeypatch.setattr("testbed.run.folder.disk_usage", lambda place: full)
+    with pytest.raises(testbed.TestbedError) as caught:
+        call(hold, logged)
+    assert caught.value.hint == f"free some space, or choose another disk with {cure}"
+
+
+def test_a_fault_of_wires_on_the_twin_names_the_rig_and_no_flag(hold):
+    quiet = hold.with_(inject=[{"kind": "cut_serial", "vehicle": "sat1", "at_s": 1.0}])
+    with pytest.raises(testbed.TestbedError, match="or the rig bench") as caught:
+        testbed.fly(quiet)
+    assert "--" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
