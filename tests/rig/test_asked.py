@@ -1,6 +1,8 @@
 """How often an operator has said stop, however many ways it came."""
 
-from testbed.rig.wired.stop_requests import AGAIN_NS, Asked
+import pytest
+
+from testbed.rig.wired.stop_requests import AGAIN_NS, SHARED, Asked
 
 
 def heard(*times):
@@ -21,6 +23,35 @@ def test_copies_of_one_stop_count_once_however_late():
     now = iter((0, 5 * AGAIN_NS, 9 * AGAIN_NS))
     asked = Asked(lambda: next(now))
     assert [asked.hear(one) for one in (b"a", b"a", b"b", b"a", b"b")] == [1, 1, 2, 2, 2]
+
+
+@pytest.mark.parametrize("late", [1, 3 * AGAIN_NS])
+def test_a_stop_that_a_vehicle_hears_first_counts_once_at_its_host(late):
+    vehicle, now = Asked(lambda: 0), [0]
+    host = Asked(lambda: now[0])
+    assert vehicle.hear(b"a") == 1
+    for now[0] in (5, 10):  # every report of the vehicle has it
+        host.at_least(vehicle.times, vehicle.marks)
+    now[0] += late
+    assert host.hear(b"a") == 1  # the same press, by way of the network
+    now[0] += AGAIN_NS
+    assert host.hear(b"b") == 2  # another press
+
+
+def test_two_operators_at_the_same_time_count_once_also_if_both_come_late():
+    vehicle, now = Asked(lambda: 0), [0]
+    host = Asked(lambda: now[0])
+    assert [vehicle.hear(one) for one in (b"a", b"b")] == [1, 1]
+    host.at_least(vehicle.times, vehicle.marks)
+    now[0] = 2 * AGAIN_NS
+    assert [host.hear(one) for one in (b"a", b"b")] == [1, 1]
+
+
+def test_the_marks_stay_small_whatever_comes():
+    vehicle = Asked(lambda: 0)
+    for k in range(100):
+        vehicle.hear(b"%d" % k * 3000)
+    assert sum(map(len, vehicle.marks)) == 8 * SHARED
 
 
 def test_one_that_says_so_is_at_once():

@@ -16,10 +16,13 @@ import pytest
 from testbed.config import ConfigError, find, load
 from testbed.core.codes import FaultId
 from testbed.net.direct_stop import stop_directly
+from testbed.net.keys import Keys
+from testbed.net.session import dial
 from testbed.net.stop import stop_everything
 from testbed.rig.chain import make_agent
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin, warm_up
+from testbed.rig.wired import stop_requests
 from testbed.rig.wired.host import WireRig
 
 AGENT = "testbed.rig.wired.agent_process"
@@ -245,14 +248,32 @@ def test_a_stop_after_the_vehicles_have_ended_finds_them_at_rest(monkeypatch, ca
     assert_nothing_is_left(met)
 
 
-def test_a_vehicle_is_stopped_without_its_host():
+def test_a_vehicle_is_stopped_without_its_host(monkeypatch):
+    """The host hears the same stop after the vehicle's report of it: that is no second stop."""
+    late, asked = [], stop_requests.Asked()
+    monkeypatch.setattr(stop_requests, "AGAIN_NS", -1)  # in the host: however late
+    monkeypatch.setattr("testbed.rig.wired.host.Asked", lambda: asked)
+
     def stop_later(rig):
         endpoint = rig.experiment.table.lab.network.endpoint
+        operator = dial(endpoint, 5.0)
         threading.Timer(2.0, stop_directly, (endpoint, "lab", None, ["sat1"], "a", 5.0)).start()
+        note = rig.results.note_tick
 
-    rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
+        def noted(name, flown):
+            note(name, flown)
+            if flown.stops and not late:
+                late.append(operator)
+                operator.put(Keys("lab").stop, b"a")
+
+        rig.results.note_tick = noted
+
+    rig, ending, noted, met = fly("hold", "duration_s=30", when_started=stop_later)
+    late[0].close()
     assert ending.fault.words == "stopped by the operator"
     assert ending.t < 20.0
+    assert asked.times == 1  # 2 would shut valves and air at once
+    assert noted.after
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
     assert_nothing_is_left(met)

@@ -109,6 +109,7 @@ class VehicleFlight:
             self._pace(tick.inputs.vitals.late_s),
             edges,
             self._commands.operator_stops,
+            self._commands.asked.marks,
         )
         self._k += 1
         self._publisher.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))

@@ -1,12 +1,14 @@
 """Counting the operator's stop requests."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from hashlib import blake2b
 
 from testbed.realtime.wall_clock import monotonic_ns
 
 AGAIN_NS = 500_000_000  # copies of a stop without an id arrive by several routes within this time
 KEPT = 100  # ids that are kept
+SHARED = 8  # newest ids that another party is told of
 
 
 class Asked:
@@ -24,9 +26,11 @@ class Asked:
         Args:
             stop: its id; copies of one stop have the same, however late they arrive.
         """
-        if stop and stop in self._ids:
+        mark = blake2b(stop, digest_size=8).digest() if stop else b""
+        if mark and mark in self._ids:
             return self.times
-        self._ids.append(stop)
+        if mark:
+            self._ids.append(mark)
         now = self._now()
         if self._first is None:
             self._first, self.times = now, 1
@@ -34,8 +38,19 @@ class Asked:
             self.times = 2
         return self.times
 
-    def at_least(self, times: int) -> None:
-        """Adopt the stops that another party has counted."""
+    @property
+    def marks(self) -> tuple[bytes, ...]:
+        """Marks of the newest stops, 8 bytes each; `at_least` of another party takes them."""
+        return tuple(self._ids)[-SHARED:]
+
+    def at_least(self, times: int, marks: Sequence[bytes] = ()) -> None:
+        """Adopt the stops that another party has counted.
+
+        Args:
+            times: their number.
+            marks: of them; a copy of one that arrives here later is not one more stop.
+        """
+        self._ids.extend(mark for mark in marks if mark not in self._ids)
         if times > self.times:
             self._first = self._now() if self._first is None else self._first
             self.times = times

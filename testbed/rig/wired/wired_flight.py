@@ -341,7 +341,8 @@ class HostFlight:
                 if box.take(data, clock.of(at)) is Acceptance.TAKEN and box.newest is not None:
                     node = self._nodes[name]
                     node.heard_at, node.newest = clock.of(at), box.newest.tick
-                    self._asked.at_least(box.newest.stops)  # a stop may reach a vehicle only
+                    # a stop may reach a vehicle only, or much sooner
+                    self._asked.at_least(box.newest.stops, box.newest.stop_marks)
                     book.note_tick(name, box.newest)
                     assert self._observer is not None
                     self._observer.vehicle(name, box.newest.tick)
