@@ -3,14 +3,20 @@
 `testbed drill --rig bench` does the same with three vehicles, again and again.
 """
 
+from pathlib import Path
+
+import msgspec
 import pytest
 
+from testbed.cli.result import print_result
 from testbed.config import find, load
 from testbed.core.codes import FaultId
 from testbed.core.fault_injection import Injection
+from testbed.metrics.run_metrics import Metrics, ReferenceLog
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.host import WireRig
+from testbed.run.judge import measure
 
 AT = 1.0  # [s]
 
@@ -106,6 +112,19 @@ def test_a_flood_is_named_and_changes_nothing():
     assert ending.fault is None
     assert FaultId.FLOODED in rig.results.ended["sat1"].rows
     assert "flooded" in [one.name for one in rig.results.concerns()]
+
+
+@pytest.mark.slow
+def test_a_row_that_warns_is_a_warning_of_the_result(capsys):
+    rig, ending, _ = fly_undisturbed("slow_mocap", "criteria={}", duration=5.0)
+    assert ending.fault is None
+    references = {"sat1": ReferenceLog()}
+    metrics = measure(rig, references, ending, 1.0, completed=True)
+    (warning,) = (one for one in metrics.warnings if one.name == "pose_rate_low")
+    assert warning.text.startswith("sat1: the cameras give")
+    assert msgspec.json.decode(msgspec.json.encode(metrics), type=Metrics).warnings
+    print_result(metrics, rig.experiment, Path("runs"))
+    assert f"warning: pose_rate_low: {warning.text}" in capsys.readouterr().out
 
 
 FIXED = "table.lab.mocap.reference={north=[0.0,2.9,0.0],east=[2.9,0.0,0.0]}"

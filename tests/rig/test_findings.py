@@ -4,7 +4,9 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.config import find, load
+from testbed.core.law import Concern
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
+from testbed.core.warned import Warned
 from testbed.flight.loop import Ending
 from testbed.metrics.afterwards import After, Left
 from testbed.net.commands import Counts, Ended, Pace, TickReport
@@ -79,3 +81,16 @@ def test_what_comes_after_the_end_is_not_of_the_flight(findings):
     outputs = replace(one.tick.outputs, command=command)
     findings.note_tick("sat1", replace(one, tick=Tick(inputs, outputs)))
     assert (findings.spent("sat1"), len(findings.track().t)) == before
+
+
+@pytest.mark.parametrize("is_over", [True, False], ids=["with a report", "without one"])
+def test_rows_that_held_are_warnings_also_of_a_vehicle_that_died(findings, is_over):
+    for k, rows in enumerate([(), ("pulled",), ("pulled", "link_late", "pose_lost"), ()]):
+        one = flown(k)
+        outputs = replace(one.tick.outputs, faults=rows)
+        findings.note_tick("sat1", replace(one, tick=Tick(one.tick.inputs, outputs)))
+    said = "pulled held; the vehicle's last report is missing"
+    if is_over:
+        said = "a hose"
+        findings.note_end("sat1", Ended(3.0, None, COUNTS, warned={"pulled": Warned(0.1, 9, said)}))
+    assert findings.concerns() == [Concern("pulled", f"sat1: {said} (from 0.1 s)")]

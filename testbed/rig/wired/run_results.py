@@ -10,8 +10,9 @@ import numpy as np
 from testbed.config import Experiment
 from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
-from testbed.core.warned import noticed
+from testbed.core.warned import Warned, noticed
 from testbed.flight.loop import Ending, Observer
+from testbed.flight.warnings import is_told
 from testbed.metrics.afterwards import After, Left
 from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
 from testbed.net.commands import Ended, Pace, TickReport
@@ -42,6 +43,7 @@ class RunResults:
         self.loop: tuple[float, float] | None = None
         self._states: dict[str, list[tuple[float, list[float]]]] = {}
         self._fired_us: dict[str, int] = {}
+        self._held: dict[str, dict[str, float]] = {}  # rows of the fault table, and since when [s]
 
     @property
     def epoch_ns(self) -> int | None:
@@ -96,6 +98,8 @@ class RunResults:
             self._states.setdefault(name, []).append((state.t, row))
         fired = sum(flown.tick.outputs.command.on_us)
         self._fired_us[name] = self._fired_us.get(name, 0) + fired
+        for row in flown.tick.outputs.faults:
+            self._held.setdefault(name, {}).setdefault(row, flown.tick.outputs.t)
 
     def note_end(self, name: str, ended: Ended) -> None:
         """See `Book`."""
@@ -183,12 +187,19 @@ class RunResults:
         """See `Rig`. Concerns of laws on board are not collected."""
         return [
             *self.law_concerns, *(Concern("keys_expire", words) for words in self.key_warnings),
-            *noticed({name: self.ended[name].warned for name in self._heard_out()}),
+            *noticed({name: self._warned(name) for name in self.experiment.vehicles}),
         ]  # fmt: skip
 
-    def _heard_out(self) -> list[str]:
-        """The vehicles that have reported how they ended."""
-        return [name for name in self.experiment.vehicles if name in self.ended]
+    def _warned(self, name: str) -> dict[str, Warned]:
+        """Rows that have held on a vehicle; without their words if its last report is missing."""
+        if name in self.ended:
+            return self.ended[name].warned
+        faults = self.experiment.faults
+        return {
+            row: Warned(t, math.nan, f"{row} held; the vehicle's last report is missing")
+            for row, t in self._held.get(name, {}).items()
+            if row in faults and is_told(faults[row])
+        }
 
     def jets(self, name: str) -> tuple[JetHealth, ...]:
         """See `Rig`."""
