@@ -8,6 +8,10 @@
     /diagnostics             diagnostic_msgs/DiagnosticArray a vehicle's condition, when it changes
 
 They repeat what rows have, so they are sparse: EVERY_NS. The writer's process makes them.
+
+The stamp in a header is the time at which the data are valid, as in ROS: an estimate is that of the
+time at which the tick's plan begins to push, and its wrench acts from then on. That is a command
+delay after the tick, which is the time of the message in the log.
 """
 
 import math
@@ -59,7 +63,8 @@ class Extras:
         if stamp < self._due.get(topic, 0) or not values[KNOWN]:
             return
         self._due[topic] = stamp + self._every - self._every // 100  # times of ticks are rounded
-        header = self._header(stamp, TABLE)
+        valid = stamp + round(1e9 * (values[VALID] - values[NOW]))
+        header = self._header(valid, TABLE)
         x, y, theta = values[POSE : POSE + 3]
         turn = {"z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}
         pose = {"position": {"x": x, "y": y}, "orientation": turn}
@@ -67,7 +72,7 @@ class Extras:
         yield Extra(f"/{name}/pose", POSE_KIND, cdr.encode(POSE_KIND, stamped))
         fx, fy, tau = values[WRENCH : WRENCH + 3]
         wrench = {"force": {"x": fx, "y": fy}, "torque": {"z": tau}}
-        stamped = {"header": self._header(stamp, name), "wrench": wrench}
+        stamped = {"header": self._header(valid, name), "wrench": wrench}
         yield Extra(f"/{name}/wrench", WRENCH_KIND, cdr.encode(WRENCH_KIND, stamped))
         move = {"translation": {"x": x, "y": y}, "rotation": turn}
         moved = {"header": header, "child_frame_id": name, "transform": move}
@@ -103,6 +108,7 @@ POSE_KIND, WRENCH_KIND = "geometry_msgs/PoseStamped", "geometry_msgs/WrenchStamp
 SUPPLY_KIND, TF_KIND = "sensor_msgs/FluidPressure", "tf2_msgs/TFMessage"
 DIAGNOSIS = "diagnostic_msgs/DiagnosticArray"
 POSE, WRENCH = PLACE["outputs.state.pose.x"], PLACE["outputs.commanded_wrench.fx"]
+NOW, VALID = PLACE["outputs.t"], PLACE["outputs.state.t"]
 SUPPLY = PLACE["inputs.health.supply_pressure"]
 RESPONSE, FAULT = PLACE["outputs.response"], PLACE["outputs.fault"]
 INHIBIT, KNOWN = PLACE["outputs.inhibit"], PLACE["outputs.state_known"]

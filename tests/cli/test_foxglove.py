@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 
@@ -70,6 +71,40 @@ def test_mcap_ros2_reads_every_message_with_its_values(log):
     counts = summary.statistics.channel_message_counts
     names = {c.id: c.topic for c in summary.channels.values()}
     assert {names[k]: n for k, n in counts.items()} == {t: k + 1 for t, k in seen.items()}
+
+
+def test_a_pose_is_that_of_the_vehicle_at_its_stamp(testbed, here):
+    """Not at the tick: it is the estimate for a command delay later."""
+    reader = pytest.importorskip("mcap_ros2.reader")
+    words = ["vehicles.sat1.start=[-1.5,-1.0,0.0]", "vehicles.sat1.model.command_delay_s=0.03"]
+    testbed("run", "hold", *words, "duration_s=20", "criteria={}", "--out", "out")
+    log = LogReader(Path("out/log.mcap"))
+    truth = Columns(log).rows["/truth"]
+    now, pose = truth["t"], truth["vehicles"][:, 0]["pose"]
+
+    def off(t, x, y):
+        """Distance from the true pose [m]."""
+        return math.hypot(x - np.interp(t, now, pose["x"]), y - np.interp(t, now, pose["y"]))
+
+    late = dict[str, list[float]]()
+    stamped, ticks = dict[str, list[float]](), dict[str, list[float]]()
+    for message in reader.read_ros2_messages(str(log.path)):
+        topic, found = message.channel.topic, message.ros_msg
+        if topic not in ("/sat1/pose", "/tf"):
+            continue
+        one = found if topic != "/tf" else found.transforms[0]
+        place = one.pose.position if topic != "/tf" else one.transform.translation
+        at = one.header.stamp.sec * 10**9 + one.header.stamp.nanosec - log.epoch
+        tick = message.log_time_ns - log.epoch
+        if 1e-9 * at > now[-1]:
+            continue
+        late.setdefault(topic, []).append(1e-9 * (at - tick))
+        stamped.setdefault(topic, []).append(off(1e-9 * at, place.x, place.y))
+        ticks.setdefault(topic, []).append(off(1e-9 * tick, place.x, place.y))
+    for topic in ("/sat1/pose", "/tf"):
+        assert np.allclose(late[topic], 0.036)  # and 6 ms until the valve is open
+        assert np.median(stamped[topic]) < 0.1 * np.median(ticks[topic])
+        assert max(stamped[topic]) < 0.001
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ from testbed.net.session import dial, listen
 
 EPOCH = 1_800_000_000 * 10**9
 TICKS = 8
+LATER = 0.008  # from a tick to the time of its estimate [s]
 
 
 def tick(k: int) -> Tick:
@@ -42,7 +43,7 @@ def tick(k: int) -> Tick:
         Twist(4.0, 5.0, 6.0),
         Accel(0, 0, 0),
     )
-    state = State(t, pose, twist, Accel(7.0, 8.0, 9.0), 0.02, k) if k else None
+    state = State(t + LATER, pose, twist, Accel(7.0, 8.0, 9.0), 0.02, k) if k else None
     reference = Reference(t, pose, twist, no_accel) if k > 2 else None
     still = Wrench(0.0, 0.0, 0.0)
     return Tick(
@@ -155,9 +156,11 @@ def test_a_ros_node_sees_types_hashes_and_values(path, router):
     assert [one.pose.position.x for _, one in values["/sat1/pose"]] == [
         0.1 * k for k in range(1, TICKS)
     ]
-    assert [one.header.stamp.nanosec for _, one in values["/sat1/pose"]] == [
-        10**8 * k for k in range(1, TICKS)
-    ]
+    stamps = [10**8 * k + 8 * 10**6 for k in range(1, TICKS)]  # for which the estimate holds
+    for topic in ("/sat1/pose", "/sat1/wrench"):
+        assert [one.header.stamp.nanosec for _, one in values[topic]] == stamps
+    assert [one.transforms[0].header.stamp.nanosec for _, one in values["/tf"]] == stamps
+    assert [stamp for stamp, _ in values["/tf"]] == [EPOCH + 10**8 * k for k in range(1, TICKS)]
     ticks = [one for _, one in values["/sat1/tick"]]
     assert [one.pulses[0].on_us for one in ticks] == list(range(TICKS))
     assert np.isnan(ticks[0].outputs.state.pose.x)
