@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from msgspec import Struct
 
 READY = b"ready\n"  # the writer's first line
+FULL = "full: "  # before the reason, in the writer's line that the flight must end
 
 
 class Epoch(Struct, frozen=True, tag=True, array_like=True):

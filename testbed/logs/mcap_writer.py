@@ -24,12 +24,13 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, One, Table, Topic
+from testbed.logs.frames import FULL, READY, Epoch, Frame, Mark, Messages, One, Table, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
 SWITCH_S = 5e-4  # the reading thread gets its turn after this; a full pipe holds up the flight
 WAITING = 1024  # most reads queued for the disk
+LAST = 0.25  # share of END_BELOW that is kept: rows on their way to a full disk may take the rest
 
 
 class DiskFullError(TestbedError):
@@ -109,13 +110,28 @@ class Disk:
     def __init__(self, free: Callable[[], int], warn_below: int, end_below: int) -> None:
         self._free, self._warn_below, self._end_below = free, warn_below, end_below
         self._warned = False
+        self.full: DiskFullError | None = None  # why the flight must end
 
-    def check(self) -> str | None:
-        """A warning, once; DiskFullError while the log can still be finished."""
+    def check(self, path: Path) -> str | None:
+        """A line for the flight, once: a warning, or that it must end.
+
+        Args:
+            path: of the log.
+
+        Raises:
+            DiskFullError: the flight has not ended in time; the log can still be finished.
+        """
         free = self._free()
-        if free < self._end_below:
+        if free < self._end_below and self.full is None:
             kept = f"the log ends at {self._end_below / 1e6:.0f} MB"
-            raise DiskFullError(f"No space left on device: {free / 1e6:.1f} MB are free, {kept}")
+            why = f"No space left on device: {free / 1e6:.1f} MB are free, {kept}"
+            self.full = DiskFullError(why)
+            if free >= LAST * self._end_below:
+                return f"{FULL}{path}: {why}"
+        if self.full is not None:
+            if free < LAST * self._end_below:
+                raise self.full
+            return None
         if free < self._warn_below and not self._warned:
             self._warned = True
             return (
@@ -159,7 +175,8 @@ def write_log(
 
     Raises:
         OSError: it cannot be created, or disk or quota is full; the written part is readable.
-        DiskFullError: the disk is nearly full; the file has been finished.
+        DiskFullError: the disk is nearly full; the file has been finished, with all rows that came
+            unless they were too many.
     """
     file = File(path)
     log, extras = Log(file), Extras()
@@ -176,19 +193,22 @@ def write_log(
                             log.add(log.topic(more.topic, more.kind), one.stamp, more.data)
                 case Mark():
                     log.mcap.flush()
-                    if warning := disk.check():
-                        say(warning)
+                    if line := disk.check(path):
+                        say(line)
                 case Epoch(utc_ns):
                     log.epoch = extras.epoch = utc_ns
                 case Topic(name, kind):
                     topics.append((log.topic(name, kind), frame))
         finish(log.mcap, file)
+        full = disk.full
     except DiskFullError:
         finish(log.mcap, file)
         raise
     except OSError:
         file.end()
         raise
+    if full is not None:
+        raise full
 
 
 def singly(part: One | Table) -> Iterator[One]:

@@ -43,7 +43,7 @@ from testbed.core.error import TestbedError
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.logs.block import LARGEST, Block, Columns, Later, Piece, nothing
-from testbed.logs.frames import READY, Epoch, Frame, Mark, Messages, One, Table, Topic
+from testbed.logs.frames import FULL, READY, Epoch, Frame, Mark, Messages, One, Table, Topic
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
@@ -257,7 +257,7 @@ class Recorder:
         """Pass a complete tick to the writer; returns its messages, for instance about the disk.
 
         Raises:
-            RecorderError: the writer has ended; recording has stopped.
+            RecorderError: the writer has ended, or the disk is nearly full.
         """
         now = round(t * 1e9)
         due = now - self._marked >= self._span
@@ -280,6 +280,8 @@ class Recorder:
             raise RecorderError(self._last_words())
         *lines, self._said = (self._said + heard).split(b"\n")
         self._reason = lines[-1].decode() if lines else self._reason
+        if self._reason.startswith(FULL):  # the writer goes on until this flight has ended
+            raise RecorderError(self._reason.removeprefix(FULL))
         said = [line.decode() for line in lines if line.startswith(b"warning")]
         return said + self._losses()
 

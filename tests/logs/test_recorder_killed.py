@@ -1,6 +1,7 @@
 """What is left of a log after its writers were killed, or its disk was full."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from testbed.logs.frames import Mark, Messages, One, Stack, Table, Topic
 from testbed.logs.log_reader import LogReader
 from testbed.logs.mcap_writer import Disk, DiskFullError, frames, singly, write_log
 from testbed.logs.packing import Packer
-from testbed.logs.recorder import SPAN_NS, Motion, Recorder, RecorderError, Truth
+from testbed.logs.recorder import FAST_SPAN_NS, SPAN_NS, Motion, Recorder, RecorderError, Truth
 
 HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 PERIOD = 0.01  # [s] of the run between two messages
@@ -159,19 +160,48 @@ def test_damage_is_said(tmp_path):
 # The disk
 
 
+FULL = r"No space left on device: 0.0 MB are free, the log ends"
+
+
 def test_it_warns_once_and_ends_the_log_properly_before_the_disk_is_full(tmp_path):
     room, said = iter(range(1000, 0, -100)), []
     path = tmp_path / "log.mcap"
-    with pytest.raises(
-        DiskFullError, match=r"No space left on device: 0.0 MB are free, the log ends"
-    ):
-        write_log(path, iter(chunked(500)), Disk(lambda: next(room), 800, 400), said.append)
+    with pytest.raises(DiskFullError, match=FULL):
+        write_log(path, iter(chunked(500)), Disk(lambda: next(room), 800, 450), said.append)
     assert said[0] == "ready"
-    assert len(said) == 2
     assert "left on the disk of the log" in said[1]
+    assert said[2].startswith(f"full: {path}: No space left on device")
+    assert len(said) == 3
+    assert next(room, 0) == 0  # it went on until a quarter was left
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary.statistics.message_count == len(stamps(path)) > 0
+
+
+def test_rows_on_their_way_to_a_full_disk_are_written(tmp_path):
+    path, said = tmp_path / "log.mcap", []
+    with pytest.raises(DiskFullError, match=FULL):
+        write_log(path, iter(chunked(500)), Disk(lambda: 300, 0, 400), said.append)
+    assert [line.split(" ")[0] for line in said] == ["ready", "full:"]
+    assert len(stamps(path)) == 500
+
+
+@pytest.mark.parametrize("span", [SPAN_NS, FAST_SPAN_NS], ids=["ticks", "far ahead"])
+def test_a_flight_whose_disk_is_full_loses_no_row(tmp_path, span):
+    """It may be seconds ahead of the writer when that finds out."""
+    path, k = tmp_path / "log.mcap", 0
+    full = 2 * shutil.disk_usage(tmp_path).free  # what is free is less, and more than a quarter
+
+    def fly() -> None:
+        nonlocal k
+        with Recorder(path, warn_below=0, end_below=full, span_ns=span) as recorder:
+            for k in range(10**6):
+                recorder.write("/truth", PERIOD * k, Truth(PERIOD * k, {"sat1": HERE}))
+                recorder.mark(PERIOD * k)
+
+    with pytest.raises(RecorderError, match=f"^{re.escape(str(path))}: No space left on device"):
+        fly()
+    assert len(stamps(path)) == k + 1
 
 
 def test_the_flight_hears_of_it(tmp_path):
