@@ -3,25 +3,28 @@
 Units are SI and radians, times are seconds of the run, unless a name has another unit (`on_us`).
 Nested fields are joined with dots (`outputs.state.pose.x`); sequences become `samples[0].x`,
 `samples[1].x`, ..., beyond the valid elements nan. Standard messages repeat what rows have and are
-left out. `bag` is a folder for `ros2 bag`, which has all messages.
+left out. `bag` is a folder for `ros2 bag`, which has all messages: a copy of the log. A log that is
+damaged or has no end gives a new file with what is intact: other programs read no damaged one.
 """
 
 import csv
 import errno
 import os
+import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from testbed.core.error import TestbedError
 from testbed.core.extra import pip_install
 from testbed.core.records import cdr
 from testbed.core.records.definition import MESSAGES
-from testbed.core.records.ros import ros_name
+from testbed.core.records.ros import ros_name, schema_text
 from testbed.files import atomic_write
 from testbed.logs.columns import Columns
 from testbed.logs.log_reader import LogError, LogReader
@@ -142,17 +145,22 @@ def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
 
 
 def to_mat(found: dict[str, Table], folder: Path) -> list[Path]:
-    """Write one MATLAB file: `load log.mat`, then `sat1.tick.outputs.state.pose.x`."""
+    """Write one MATLAB file: `load log.mat`, then `sat1.tick.outputs.state.pose.x`.
+
+    Raises:
+        ExportError: two names are the same in MATLAB.
+    """
     from scipy.io import savemat
 
     path = folder / "log.mat"
     refuse_older(path)
+    firsts = dict.fromkeys(topic.strip("/").split("/")[0] for topic in found)
+    _check_apart(firsts)
     tree: dict[str, Any] = {}
     for topic, table in found.items():
+        first, *others = topic.strip("/").split("/")
         for name, column in table.items():
-            *places, last = [
-                _matlab(one) for one in (*topic.strip("/").split("/"), *name.split("."))
-            ]
+            *places, last = [_variable(first), *map(_matlab, (*others, *name.split(".")))]
             branch = tree
             for place in places:
                 branch = branch.setdefault(place, {})
@@ -168,14 +176,38 @@ def _matlab(name: str) -> str:
     return f"{head}_{int(number) + 1}" if number else head
 
 
+def _variable(name: str) -> str:
+    """A vehicle's name as MATLAB takes it: `sat-1` is `sat_1` there, and `1` is `x1`."""
+    spelled = name.replace("-", "_")
+    return spelled if re.match(r"[A-Za-z]", spelled) else f"x{spelled}"
+
+
+def _check_apart(names: Iterable[str]) -> None:
+    taken: dict[str, str] = {}
+    for name in names:
+        other = taken.setdefault(_variable(name), name)
+        if other != name:
+            raise ExportError(
+                where="export to mat", expected="vehicles whose names differ in MATLAB",
+                found=f"{other} and {name}, which are both {_variable(name)}",
+                hint="export to npz, csv or parquet",
+            )  # fmt: skip
+
+
 WRITERS: dict[str, Callable[[dict[str, Table], Path], list[Path]]] = {
     "csv": to_csv, "mat": to_mat, "npz": to_npz, "parquet": to_parquet,
 }  # fmt: skip
 
 
 def to_bag(book: LogReader, folder: Path) -> list[Path]:
-    """Write a folder for `ros2 bag`: a copy of the log, and its table of contents."""
-    refuse_older(folder / "metadata.yaml")
+    """Write a folder for `ros2 bag`: the log, and its table of contents.
+
+    Raises:
+        FileExistsError: the folder has one of these files, for instance the log of another run.
+        LogError: there are no messages in the log.
+    """
+    for name in ("metadata.yaml", "log.mcap"):
+        refuse_older(folder / name)
     counts: dict[str, int] = {}
     stamps = []
     for row in book.read():
@@ -183,7 +215,11 @@ def to_bag(book: LogReader, folder: Path) -> list[Path]:
         stamps.append(book.epoch + row.stamp)
     if not stamps:
         raise LogError("there are no messages in the log")
-    shutil.copyfile(book.path, folder / "log.mcap")
+    with atomic_write(folder / "log.mcap") as part:
+        if book.complete():
+            shutil.copyfile(book.path, part)
+        else:
+            _write_intact(book.path, part)
     began, ended = min(stamps), max(stamps)
     topics = "".join(
         f"""
@@ -219,3 +255,20 @@ def to_bag(book: LogReader, folder: Path) -> list[Path]:
     with atomic_write(folder / "metadata.yaml") as part:
         part.write_text(text, encoding="utf-8")
     return [folder / "log.mcap", folder / "metadata.yaml"]
+
+
+def _write_intact(log: Path, out: Path) -> None:
+    """Write all messages that can be read of a log as a log with a proper end."""
+    book, channels = LogReader(log), dict[str, int]()
+    with out.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="airbearing-testbed, intact part of a log")
+        for number, (topic, stamp, data) in enumerate(book.read(), 1):
+            if topic not in channels:
+                kind = book.kinds[topic]
+                text = (book.texts[topic] or schema_text(kind)).encode()
+                schema = writer.register_schema(ros_name(kind), "ros2msg", text)
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            at = book.epoch + stamp
+            writer.add_message(channels[topic], at, data, at, number)
+        writer.finish()

@@ -18,7 +18,7 @@ from testbed.core.types import (
     Vitals,
     Wrench,
 )
-from testbed.logs.export import WRITERS, atomic_write, tables, to_bag
+from testbed.logs.export import WRITERS, ExportError, atomic_write, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, Row
 from testbed.logs.recorder import Motion, Recorder, Truth
 from testbed.logs.topics import survey
@@ -114,6 +114,55 @@ def test_a_bag_is_read_by_rosbags(tmp_path, path):
         ]
         assert reader.start_time == 1_800_000_000 * 10**9
     assert seen == [0.1 * k for k in range(10)]
+
+
+@pytest.mark.parametrize("damage", ["no end", "zeros", "no beginning"])
+def test_a_bag_of_a_damaged_log_has_all_that_is_intact(tmp_path, damage):
+    rosbags = pytest.importorskip("rosbags.highlevel")
+    log, bag = tmp_path / "log.mcap", tmp_path / "bag"
+    with Recorder(log, epoch_ns=1_800_000_000 * 10**9) as recorder:
+        for k in range(200):
+            recorder.write("/sat1/tick", 0.1 * k, tick(k % 9))
+            recorder.mark(0.1 * k)  # a chunk
+    data = log.read_bytes()
+    half = len(data) // 2
+    log.write_bytes({
+        "no end": data[:half],
+        "zeros": data[:half] + bytes(300) + data[half + 300 :],
+        "no beginning": bytes(300) + data[300:],
+    }[damage])  # fmt: skip
+    bag.mkdir()
+    wanted = [(row.topic, row.data) for row in LogReader(log).read()]
+    to_bag(LogReader(log), bag)
+    with rosbags.AnyReader([bag]) as reader:
+        found = [(one.topic, bytes(data)) for one, _, data in reader.messages()]
+        assert reader.message_count == len(wanted)
+    assert 0.2 < sum(topic == "/sat1/tick" for topic, _ in wanted) / 200 < 1.0
+    assert sorted(found) == sorted(wanted)
+
+
+def test_a_bag_does_not_overwrite_a_log(tmp_path, path):
+    (tmp_path / "log.mcap").write_bytes(b"the log of another run")
+    with pytest.raises(FileExistsError):
+        to_bag(LogReader(path), tmp_path)
+    assert (tmp_path / "log.mcap").read_bytes() == b"the log of another run"
+    assert [one.name for one in tmp_path.iterdir()] == ["log.mcap"]
+
+
+def test_matlab_has_every_vehicle_under_a_name_that_it_takes(tmp_path, path):
+    from scipy.io import loadmat
+
+    found = tables(LogReader(path))
+    columns = found.pop("/sat1/tick")
+    more = {f"/{name}/tick": columns for name in ("sat-1", "_a", "1")}
+    (mat,) = WRITERS["mat"]({**found, **more}, tmp_path)
+    log = loadmat(mat, simplify_cells=True)
+    for name in ("sat_1", "x_a", "x1"):
+        got = log[name]["tick"]["outputs"]["commanded_wrench"]["fx"]
+        np.testing.assert_array_equal(got, columns["outputs.commanded_wrench.fx"])
+    clash = {"/sat-1/tick": columns, "/sat_1/tick": columns}
+    with pytest.raises(ExportError, match="sat-1 and sat_1, which are both sat_1"):
+        WRITERS["mat"](clash, tmp_path / "other")
 
 
 def test_nothing_to_export(tmp_path):
