@@ -31,7 +31,7 @@ from testbed.run.folder import (
     write_config,
     write_metrics,
 )
-from testbed.run.fork import ForkError, check_fork, forked, resumed
+from testbed.run.fork import ForkError, check_fork, check_log, forked, resumed
 from testbed.run.interrupt import Interrupt
 from testbed.run.progress import Progress
 from testbed.run.replay import replay_experiment
@@ -188,8 +188,8 @@ def fork(
         The run, with folder, log and report; its report draws the original, too.
 
     Raises:
-        TestbedError: the run has no log, it ended before `t`, or the flight up to `t` is not the
-            one in the log.
+        TestbedError: the run has no log, it ended before `t`, its log lacks a part before `t`, or
+            the flight up to `t` is not the one in the log.
         InterruptedFlight: see `fly`.
     """
     with told_by("fork"):
@@ -206,6 +206,7 @@ def fly_on(
 ) -> Run:
     """See `fork`; `option` is how the caller names another folder."""
     check_number("fork", t, "a time of the flight in seconds")
+    t = float(t)  # numpy's too, as in run["sat1"].t
     check_overrides("fork", overrides)
     original = _logged(run, "fork")
     before = load(config_of(original))
@@ -214,6 +215,7 @@ def fly_on(
         expected = f"a time of the flight, from 0 to before the flight's end at {end:g} s"
         raise ForkError(where="fork", expected=expected, found=f"{t:g} s")
     experiment = forked(before, t, overrides)
+    check_log(original, t)
     make = _maker("twin")
     if run.metrics.rig != "twin":
         experiment, rig = replace(experiment, board="model"), resumed(original, t)

@@ -30,6 +30,7 @@ from testbed.report.fork_changes import changes_of_whole
 from testbed.rig.interface import Rig
 from testbed.rig.resumed import make_resumed
 from testbed.run.origin import NOTE, Origin
+from testbed.run.whole import lacks
 
 OF_THE_WHOLE = ("name", "description", "criteria", "duration_s")  # may change, for the whole run
 TICKS = ("tick", "ending", "host")
@@ -48,7 +49,7 @@ def forked(original: Experiment, t: float, overrides: Sequence[str]) -> Experime
     if not math.isfinite(t) or not 0.0 <= t < original.end_s:
         expected = f"a time of the flight, from 0 to less than {original.end_s:g} s"
         raise ConfigError("fork", "from", expected, f"{t:g}")
-    before = replace(original, forks=[one for one in original.forks if one.at_s < t])
+    before = replace(original, forks=[one for one in original.forks if one.at_s <= t])
     base = next((stage for _, stage in reversed(before.stages())), replace(before, forks=[]))
     changed = loads(tomli_w.dumps(dump(base)), overrides)
     values: dict[str, Any] = {}
@@ -101,6 +102,23 @@ def departure(original: Path, fork: Path, t: float, *, on_board: bool) -> Differ
                 found.append(first)
                 break
     return min(found, key=lambda one: one.t, default=None)
+
+
+def check_log(original: Path, t: float) -> None:
+    """Refuse a log that lacks a part before `t`: a fork is compared with it up to there.
+
+    Raises:
+        ForkError: it is damaged, or cut off, before `t`.
+        LogError: its beginning is missing.
+    """
+    book, until = LogReader(log_of(original)), round(1e9 * t)
+    if any(row.stamp >= until for row in before_damage(book)) or not (lacking := lacks(book)):
+        return
+    last = book.damages[0].since if book.damages else book.last_s
+    raise ForkError(
+        where=f"fork of {original}", expected=f"a log that is whole up to {t:g} s",
+        found=f"one that is whole up to {last or 0.0:g} s", hint=lacking[0],
+    )  # fmt: skip
 
 
 def _between(k: int, topic: str, then: Any, now: Any, *, on_board: bool) -> Difference | None:

@@ -65,6 +65,36 @@ def test_a_fork_without_changes_is_the_original(run, t, tmp_path):
     assert (fork.folder / "report.html").exists()
 
 
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int64])
+def test_a_time_may_be_a_number_of_numpy(run, kind, tmp_path):
+    t = kind(run["sat1"].t[30])
+    assert rows_of_ticks(run.fork(t, log=tmp_path / "b")) == rows_of_ticks(run)
+
+
+@pytest.mark.parametrize("change", [{"controller.bandwidth": 0.4}, {"seed": 9}])
+def test_a_fork_of_a_fork_at_the_same_time_keeps_its_changes(run, change, tmp_path):
+    fork = run.fork(4.0, change, log=tmp_path / "b")
+    again = fork.fork(4.0, log=tmp_path / "c")
+    assert rows_of_ticks(again) == rows_of_ticks(fork) != rows_of_ticks(run)
+    both = fork.fork(4.0, {"controller.damping": 0.8}, log=tmp_path / "d")
+    (_, first), (_, last) = both.experiment.stages()
+    assert (last.seed, last.controller.bandwidth) == (first.seed, first.controller.bandwidth)
+    assert testbed.replay(both).first_difference is None
+
+
+def test_a_log_that_is_cut_off_before_the_fork_is_said_before_anything_flies(tmp_path):
+    experiment = testbed.load("hold", "duration_s=40", "criteria={}", seed=3)
+    run = testbed.fly(experiment, log=tmp_path / "a")
+    data = (run.folder / "log.mcap").read_bytes()
+    (run.folder / "log.mcap").write_bytes(data[: len(data) * 2 // 3])
+    fork = run.fork(20.0, log=tmp_path / "b")
+    assert fork.metrics.duration_s == 40.0
+    with pytest.raises(ForkError, match="one that is whole up to 25 s") as error:
+        run.fork(30.0, log=tmp_path / "c")
+    assert "cut off at 25.00 s" in error.value.hint
+    assert not (tmp_path / "c").exists()
+
+
 def test_a_law_with_a_memory_of_its_own_goes_on(folder, tmp_path):
     (tmp_path / "spring.py").write_text(LAW)
     law = f'controller={{type="python", law="{tmp_path}/spring.py:Spring"}}'
