@@ -57,12 +57,16 @@ def fly_many(
 
 
 def table_of(columns: dict[str, Any], runs: Sequence[FlownRun]) -> Table:
-    """The columns, and after them outcome, reason and metrics of each run."""
-    columns = dict(columns)
+    """The columns, and after them outcome, reason and metrics of each run.
+
+    A value that was asked for keeps its name: the metric `duration_s` is `flown_s` then.
+    """
+    asked, columns = columns.keys(), dict(columns)
     columns["outcome"] = np.array([run.outcome for run in runs])
     columns["reason"] = np.array([run.reason for run in runs])
     for name in dict.fromkeys(name for run in runs for name in run.columns):
-        columns[name] = np.array([_number(run.columns.get(name)) for run in runs])
+        flown = "flown_s" if name in asked else name
+        columns[flown] = np.array([_number(run.columns.get(name)) for run in runs])
     return Table(columns, {name: unit for name in columns if (unit := _unit(name))})
 
 

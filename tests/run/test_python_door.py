@@ -298,10 +298,28 @@ def test_a_wrong_key_is_not_one_of_the_command_line(hold, logged, call, where):
     assert "command line" not in str(caught.value)
 
 
-def test_a_sweep_over_seeds_is_refused_with_the_argument_for_them(hold):
+@pytest.mark.parametrize("key", ["seed", '"seed"', " seed "])
+def test_a_sweep_over_seeds_is_refused_with_the_argument_for_them(hold, key):
     with pytest.raises(testbed.TestbedError) as caught:
-        testbed.sweep(hold, {"seed": range(1, 3)})
+        testbed.sweep(hold, {key: range(1, 3)})
     assert caught.value.hint == "seeds=[1, 2]"
+
+
+def test_a_sweep_over_durations_has_the_asked_and_the_flown_ones(hold):
+    fault = [{"kind": "stick_open", "vehicle": "sat1", "at_s": 0.5, "jet": 2}]
+    table = testbed.sweep(hold.with_(inject=fault), {"duration_s": [4, 6.0]})
+    assert table["duration_s"].tolist() == [4.0, 6.0]
+    assert (table["flown_s"] < 3.0).all()
+    assert table.units["flown_s"] == "s"
+    assert table["outcome"].tolist() == ["fault", "fault"]
+
+
+@pytest.mark.parametrize("wide", ["vehicles.*.model.mass", "vehicles"])
+def test_a_swept_value_that_another_key_overwrites_is_refused(hold, wide):
+    narrow = {"vehicles.sat1.model.mass": [12.0, 13.0]}
+    with pytest.raises(testbed.TestbedError, match="no other key overwrites") as caught:
+        testbed.sweep(hold, {**narrow, wide: [14.0]})
+    assert caught.value.found == f"{wide!r} after it"
 
 
 def test_a_log_in_a_place_that_is_not_writable_names_the_argument(hold, logged, tmp_path):
