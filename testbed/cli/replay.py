@@ -16,7 +16,6 @@ from testbed.core.error import TestbedError
 from testbed.logs.log_reader import LogError, config_of, log_of
 from testbed.logs.replay import Replay
 from testbed.run.api import InterruptedFlight, fly_on, read_folder
-from testbed.run.fork import original_of
 from testbed.run.replay import replay_experiment
 
 
@@ -55,7 +54,7 @@ def fork_run(
     """Fly a run again up to a time and on with overrides; return the exit code."""
     try:
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
-            original = read_folder(original_of(run))
+            original = read_folder(run)
             warn(original.damage)
             flown = fly_on(original, since, *overrides, log=out, option="--out")
     except InterruptedFlight as interrupted:

@@ -35,6 +35,8 @@ def replay(
     """
     from testbed.cli.replay import fork_run, replay_run
 
+    if since is not None and view:
+        raise click.UsageError("--view plays RUN; the new run of --from is played on its own")
     if since is not None:
         context.exit(fork_run(run, since, overrides, out, as_json))
     if out is not None:

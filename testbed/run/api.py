@@ -122,7 +122,8 @@ def open_run(folder: str | Path) -> Run:
     """Open the folder of a finished run.
 
     Args:
-        folder: run folder of `testbed run` or `testbed.fly(..., log=folder)`.
+        folder: run folder of `testbed run` or `testbed.fly(..., log=folder)`; or a log in it, for
+            instance one that was renamed.
 
     Raises:
         TestbedError: it is not a run's folder, its files are of different runs, or its log cannot
@@ -164,10 +165,10 @@ def replay(run: Run, *overrides: str) -> Replay:
         TestbedError: the run was not logged.
     """
     check_overrides("testbed.replay", overrides)
-    folder = _logged(run, "replay")
+    log = _logged(run, "replay")
     with told_by("testbed.replay"):
-        experiment = load(config_of(folder), overrides)
-    return replay_experiment(experiment, log_of(folder))
+        experiment = load(config_of(log), overrides)
+    return replay_experiment(experiment, log)
 
 
 def fork(
@@ -235,9 +236,9 @@ def _logged(run: Run, verb: str) -> Path:
     if not isinstance(run, Run):
         hint = f"testbed.open_run({str(run)!r})" if isinstance(run, str | Path) else ""
         raise wrong(f"{verb}, run", "a run, of testbed.open_run or testbed.fly", run, hint)
-    if run.folder is None:
+    if run.log is None:
         raise TestbedError(
             where=verb, expected="a run with a log", found="a run in memory",
             hint='fly it with log="folder"',
         )  # fmt: skip
-    return run.folder
+    return run.log

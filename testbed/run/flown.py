@@ -29,7 +29,7 @@ RATES = ("m/s", "m/s", "rad/s")
 WRENCH = ("N", "N", "N m")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Vehicle:
     """One vehicle's flight, one row per tick; NaN for missing values."""
 
@@ -47,12 +47,13 @@ class Vehicle:
 
 
 class Run(Mapping[str, Vehicle]):
-    """A run: `run["sat1"].pose`, `run.metrics`, `run.plot()`.
+    """A run: `run["sat1"].pose`, `run.metrics`, `run.plot()`. A run equals itself only.
 
     Attributes:
         experiment: what was flown.
         metrics: the numbers of metrics.json.
         folder: where the run is kept; None for a run without a log.
+        log: its log, which may have another name than log.mcap; None for a run without one.
         damage: a line for each part of the log that is missing; the rest is read.
         fly_on: as `testbed.fork`; api.py, which can fly, sets it.
     """
@@ -61,9 +62,9 @@ class Run(Mapping[str, Vehicle]):
 
     def __init__(
         self, experiment: Experiment, metrics: Metrics, history: History,
-        folder: Path | None = None, damage: tuple[str, ...] = (),
+        folder: Path | None = None, damage: tuple[str, ...] = (), log: Path | None = None,
     ) -> None:  # fmt: skip
-        self.experiment, self.metrics, self.folder = experiment, metrics, folder
+        self.experiment, self.metrics, self.folder, self.log = experiment, metrics, folder, log
         self._history, self.damage = history, damage
 
     @property
@@ -93,6 +94,8 @@ class Run(Mapping[str, Vehicle]):
                 where="run", expected=f"one of {', '.join(self)}", found=repr(name)
             )
         return self._vehicles[name]
+
+    __eq__, __hash__ = object.__eq__, object.__hash__  # a mapping's would compare arrays
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._history.vehicles)
@@ -238,5 +241,6 @@ def _columns(vehicle: VehicleHistory, true_t: Array) -> Vehicle:
 
 def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
     """Read the files of a run; `folder` is what `Run.folder` reports."""
-    history, metrics, said = recorded(log_of(files), experiment)
-    return Run(experiment, metrics, history, folder, tuple(said))
+    log = log_of(files)
+    history, metrics, said = recorded(log, experiment)
+    return Run(experiment, metrics, history, folder, tuple(said), None if folder is None else log)

@@ -23,7 +23,7 @@ from testbed.config.experiment import CHANGEABLE
 from testbed.core.error import TestbedError
 from testbed.core.rows import structs_of
 from testbed.files import write_atomic
-from testbed.logs.log_reader import LogReader, config_of, log_of
+from testbed.logs.log_reader import LogReader, log_of
 from testbed.logs.replay import Difference, before_damage, difference, parting
 from testbed.logs.row_reader import RowReader
 from testbed.report.fork_changes import changes_of_whole
@@ -116,7 +116,7 @@ def check_log(original: Path, t: float) -> None:
         return
     last = book.damages[0].since if book.damages else book.last_s
     raise ForkError(
-        where=f"fork of {original}", expected=f"a log that is whole up to {t:g} s",
+        where=str(original), expected=f"a log that is whole up to {t:g} s",
         found=f"one that is whole up to {last or 0.0:g} s", hint=lacking[0],
     )  # fmt: skip
 
@@ -163,7 +163,7 @@ def check_fork(
     """Compare a fork's log with that of its original, and note where it comes from.
 
     Args:
-        original: run folder.
+        original: its log.
         folder: of the fork.
         t: of the fork [s].
         before: experiment of the original.
@@ -173,20 +173,21 @@ def check_fork(
         ForkError: they differ before `t`; the fork's folder is removed.
     """
     first = departure(original, folder, t, on_board=after.deploy.law == "vehicle")
+    run = original.parent if original.name == "log.mcap" else original
     if first is not None:
         shutil.rmtree(folder)
-        hint = f"the code is not the one that flew it: `testbed replay {original}` says more"
+        hint = f"the code is not the one that flew it: `testbed replay {run}` says more"
         if first.field.startswith("inputs.stick"):
             hint = f"it was flown by hand; a fork can begin up to {first.t:g} s"
         raise ForkError(
-            where=f"fork of {original}", expected=f"the flight of its log up to {t:g} s",
+            where=f"fork of {run}", expected=f"the flight of its log up to {t:g} s",
             found=f"at {first.t:.3f} s, {first.topic}, {first.stage}: {first.field} was "
             f"{first.logged!r}, is {first.now!r}",
             hint=hint,
         )  # fmt: skip
-    place = os.path.relpath(original.resolve(), folder.resolve())
+    place = os.path.relpath(original.parent.resolve(), folder.resolve())
     whole = changes_of_whole(before, after, (*OF_THE_WHOLE, "inject"))
-    note = Origin(place, t, _began(log_of(original)), whole)
+    note = Origin(place, t, _began(original), whole)
     write_atomic(folder / NOTE, msgspec.json.encode(note) + b"\n")
 
 
@@ -195,13 +196,3 @@ def _began(log: Path) -> int | None:
     book = LogReader(log)
     next(book.read(), None)
     return book.epoch or None
-
-
-def original_of(run: Path) -> Path:
-    """The folder of a run that can be forked.
-
-    Raises:
-        TestbedError: there is no such run.
-    """
-    log_of(run)
-    return config_of(run).parent

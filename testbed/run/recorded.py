@@ -53,6 +53,7 @@ def recorded(
     metrics = judged(log.parent, log, experiment, history)
     _check_vehicles(log.parent / "metrics.json", metrics.vehicles, experiment)
     check_flight(book, metrics)
+    _check_experiment(log.parent / "config.toml", metrics, experiment)
     return Recorded(history, metrics, said)
 
 
@@ -81,6 +82,16 @@ def _check_vehicles(path: Path, found: Iterable[str], experiment: Experiment) ->
         raise MixedUpError(
             where=str(path), expected=f"vehicles of config.toml: {', '.join(experiment.vehicles)}",
             found=", ".join(strange), hint="a file in this folder is of another run",
+        )  # fmt: skip
+
+
+def _check_experiment(path: Path, metrics: Metrics, experiment: Experiment) -> None:
+    flown, found = (metrics.experiment, metrics.seed), (experiment.name, experiment.seed)
+    if flown != found:
+        wanted, other = (f"{name}, seed {seed}" for name, seed in (flown, found))
+        raise MixedUpError(
+            where=str(path), expected=f"the experiment of metrics.json: {wanted}", found=other,
+            hint="a file in this folder is of another run",
         )  # fmt: skip
 
 

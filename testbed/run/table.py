@@ -14,7 +14,7 @@ SHOWN_ROWS = 10
 
 
 class Table(Mapping[str, Array]):
-    """Named columns of equal length.
+    """Named columns of equal length. A table equals itself only.
 
     Args:
         columns: one array of shape (n,) per name.
@@ -30,6 +30,8 @@ class Table(Mapping[str, Array]):
     def __getitem__(self, name: str) -> Array:
         """A column as an array."""
         return self._columns[name]
+
+    __eq__, __hash__ = object.__eq__, object.__hash__  # a mapping's would compare arrays
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)

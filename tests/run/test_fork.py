@@ -95,6 +95,17 @@ def test_a_log_that_is_cut_off_before_the_fork_is_said_before_anything_flies(tmp
     assert not (tmp_path / "c").exists()
 
 
+def test_a_log_of_another_name_is_the_one_that_is_replayed_and_forked(run, tmp_path):
+    copy = shutil.copytree(run.folder, tmp_path / "a")
+    (copy / "log.mcap").rename(copy / "mine.mcap")
+    (copy / "log.mcap").write_bytes(b"not a log")
+    mine = testbed.open_run(copy / "mine.mcap")
+    assert (mine.folder, mine.log) == (copy, copy / "mine.mcap")
+    assert testbed.replay(mine).first_difference is None
+    assert rows_of_ticks(mine.fork(4.0, log=tmp_path / "b")) == rows_of_ticks(run)
+    assert fork_run(copy / "mine.mcap", 4.0, [], tmp_path / "c", as_json=True) == 0
+
+
 def test_a_law_with_a_memory_of_its_own_goes_on(folder, tmp_path):
     (tmp_path / "spring.py").write_text(LAW)
     law = f'controller={{type="python", law="{tmp_path}/spring.py:Spring"}}'
@@ -162,9 +173,9 @@ def test_what_cannot_change_in_flight_is_refused(run, t, override, key):
 def test_a_flight_that_is_not_that_of_the_log_stops_the_fork(run, folder, tmp_path):
     other = folder / "edited"
     shutil.copytree(run.folder, other)
+    edited = testbed.open_run(other)
     text = (other / "config.toml").read_text()
     (other / "config.toml").write_text(text.replace("seed = 3", "seed = 4"))
-    edited = testbed.open_run(other)
     with pytest.raises(ForkError, match="twin: inputs"):
         edited.fork(4.0, log=tmp_path / "b")
     assert not (tmp_path / "b").exists()
@@ -308,6 +319,9 @@ def test_the_command_forks(run, tmp_path, monkeypatch, capsys):
     assert "choose another with --out" in capsys.readouterr().err
     done = CliRunner().invoke(main, ["replay", word, "--out", "d"])
     assert (done.exit_code, "--out belongs to --from" in done.output) == (2, True)
+    done = CliRunner().invoke(main, ["replay", word, "--from", "4", "--view", "--out", "d"])
+    assert (done.exit_code, "--view plays RUN" in done.output) == (2, True)
+    assert not (tmp_path / "d").exists()
 
 
 def test_only_vehicles_on_the_twin_change_in_flight(run):

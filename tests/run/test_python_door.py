@@ -75,6 +75,14 @@ def test_a_run_is_a_mapping_of_vehicles(run):
     assert run.get("sat2") is None
 
 
+def test_runs_and_tables_are_compared_as_objects(hold, run):
+    other = testbed.fly(hold.with_(duration_s=1))
+    assert [one for one in (run, other) if one != run] == [other]
+    assert len({run, other, run}) == 2
+    assert run["sat1"] != other["sat1"]
+    assert run.table("sat1") != run.table("sat1")
+
+
 def test_the_same_seed_is_the_same_flight_and_another_is_not(hold, run):
     again, other = testbed.fly(hold), testbed.fly(hold.with_(seed=4))
     np.testing.assert_array_equal(again["sat1"].true_pose, run["sat1"].true_pose)

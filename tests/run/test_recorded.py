@@ -123,6 +123,13 @@ def test_a_file_of_another_seed_is_refused(copy, tmp_path, name):
         make_film(copy, copy / "a.gif", None, 300)
 
 
+def test_a_configuration_of_another_seed_is_refused(copy, tmp_path):
+    shutil.copy(fly("hold", tmp_path / "c", seed=4) / "config.toml", copy)
+    with pytest.raises(MixedUpError, match=r"metrics\.json: hold, seed \d\n.*hold, seed 4"):
+        testbed.open_run(copy)
+    assert call("report", copy).exit_code == 2
+
+
 @pytest.mark.parametrize("name", ["log.mcap", "metrics.json"])
 def test_a_file_of_other_vehicles_is_refused_in_older_runs_too(copy, tmp_path, name):
     shutil.copy(fly("xue2021_table_static", tmp_path / "c") / name, copy)
