@@ -1,6 +1,7 @@
 """Flies runs in worker processes of this machine, each run alone in its process.
 
 A worker that dies or hangs loses the run that it was flying, and a new worker takes the next one.
+Ctrl-C reaches the caller only, who ends the workers: they would print where it met them.
 """
 
 import os
@@ -11,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 
 import msgspec
@@ -34,6 +36,7 @@ class Worker:
     def __init__(self, command: Sequence[str] = FLY) -> None:
         self._command = command
         self._process: subprocess.Popen[bytes] | None = None
+        self._over = False  # it flies no more
         self._base = ""  # experiment of the newest run
 
     def fly(self, order: Order, limit_s: float) -> FlownRun:
@@ -44,9 +47,13 @@ class Worker:
         """
         if self._process is None:
             self._process = subprocess.Popen(
-                self._command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE
-            )
+                self._command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                start_new_session=True,
+            )  # fmt: skip
             self._base = ""
+            if self._over:  # since the caller's order
+                self.stop()
+                raise LostRunError("not flown: the runs were broken off")
         assert self._process.stdin is not None
         if order.base == self._base:
             order = replace(order, base="")
@@ -74,6 +81,11 @@ class Worker:
         code = process.wait()
         how = f"with code {code}" if code >= 0 else f"by {signal.Signals(-code).name}"
         return LostRunError(f"its process ended {how} during the flight")
+
+    def end(self) -> None:
+        """End the process for good."""
+        self._over = True
+        self.stop()
 
     def stop(self) -> None:
         """End the process, whatever it does."""
@@ -115,10 +127,11 @@ def fly_beside(orders: Sequence[Order], jobs: int, limit_s: float) -> list[Flown
                 for done in [threads.submit(feed, worker) for worker in workers]:
                     done.result()
             except BaseException:  # Ctrl-C: no more runs
-                while not waiting.empty():
-                    waiting.get()
+                with suppress(Empty):
+                    while True:
+                        waiting.get_nowait()
                 for worker in workers:
-                    worker.stop()
+                    worker.end()
                 raise
     finally:
         for worker in workers:

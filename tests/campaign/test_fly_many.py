@@ -1,6 +1,7 @@
 """`testbed.fly_many`: many experiments at once."""
 
 import math
+import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -88,3 +89,17 @@ def test_a_worker_that_hangs_or_ends_loses_its_run(does, said):
     with pytest.raises(LostRunError, match=said):
         worker.fly(Order(0, "name"), 0.2 if "after" in said else 60.0)
     worker.stop()
+
+
+def test_ctrl_c_in_a_terminal_does_not_reach_a_worker():
+    does = f"import os; assert os.getsid(0) != {os.getsid(0)}; exit(4)"
+    worker = Worker([sys.executable, "-c", does])
+    with pytest.raises(LostRunError, match="with code 4"):
+        worker.fly(Order(0, "name"), 60.0)
+
+
+def test_a_worker_that_was_ended_starts_no_process():
+    worker = Worker([sys.executable, "-c", "import time; time.sleep(1000)"])
+    worker.end()
+    with pytest.raises(LostRunError, match="broken off"):
+        worker.fly(Order(0, "name"), 60.0)
