@@ -98,8 +98,8 @@ class RunResults:
             self._states.setdefault(name, []).append((state.t, row))
         fired = sum(flown.tick.outputs.command.on_us)
         self._fired_us[name] = self._fired_us.get(name, 0) + fired
-        for row in flown.tick.outputs.faults:
-            self._held.setdefault(name, {}).setdefault(row, flown.tick.outputs.t)
+        for held in flown.tick.outputs.faults:
+            self._held.setdefault(name, {}).setdefault(held, flown.tick.outputs.t)
 
     def note_end(self, name: str, ended: Ended) -> None:
         """See `Book`."""
