@@ -13,7 +13,8 @@ the disc's rim; all candidates are tried. If the intersection is empty, all half
 by the same least amount.
 
     a     planned deceleration of a stop: a share of F / m, which leaves a margin for two hazards at
-          right angles and for the error of the jets
+          right angles and for the error of the jets, and at most LEFT of F / m + n b: the part
+          that a slope towards the hazard takes is not there for a stop
     s     responsibility. 1 for edges and obstacles. Two vehicles take half of their gap each and
           count their own speed only: as long as each keeps c_i^2 / (2 a) <= d / 2, both can stop at
           the same time, without knowing the other's plan
@@ -65,6 +66,8 @@ EDGES = tuple(Hazard)[Hazard.RIGHT_EDGE - 1 :]  # in the order of `filtered`
 BEYOND = 1e3  # out of reach of every vehicle [m]
 WIDTH = 7  # numbers of a disc, and of another vehicle
 WORST_SHARE = 0.1  # lowest share of the supply pressure used for planning
+LEFT = 2.0 / 3.0  # planned share of the deceleration that a bias leaves: jets may be weak, too
+LEAST = 0.1  # of the planned deceleration, however large the bias
 
 
 class BarrierParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -108,12 +111,16 @@ def speed_left(gap, closing, speed, decel, hard, slow):
 
 
 @compiled
-def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, share, bx, by):
+def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, shares, bx, by):
     """Add a hazard's half-plane if it could matter; returns the rows in use.
 
-    `share` of the planned deceleration is responsibility times `thrust_scale`, see `filtered`.
+    `shares` of the planned deceleration are `thrust_scale` and responsibility, see `filtered`.
     """
-    left = speed_left(gap, closing, speed, share * limits.decel, share * limits.hard, limits.slow)
+    share, away = shares[0] * shares[1], shares[1] * (nx * bx + ny * by)
+    decel, hard = share * limits.decel, share * limits.hard
+    if away < 0.0:
+        decel = max(LEAST * decel, min(decel, LEFT * (hard + away)))
+    left = speed_left(gap, closing, speed, decel, hard, limits.slow)
     # -n f <= m ((c1 - c0) / T + n b)
     h = limits.mass * ((left - closing) / limits.period + nx * bx + ny * by)
     if h < 3.0 * limits.force:
@@ -171,8 +178,8 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
             gap -= limits.period * max(0.0, nx * discs[k, 2] + ny * discs[k, 3])
         else:
             closing, moving = relative, np.sqrt(ux * ux + uy * uy)
-        share = thrust_scale * discs[k, 5]
-        count = bound(planes, count, nx, ny, gap, closing, moving, k, limits, share, bx, by)
+        shares = thrust_scale, discs[k, 5]
+        count = bound(planes, count, nx, ny, gap, closing, moving, k, limits, shares, bx, by)
     for edge in range(4):
         side = 1.0 - 2.0 * (edge % 2)
         if edge < 2:
@@ -181,9 +188,8 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
             gap, closing, nx, ny = limits.half_y - side * py, side * vy, 0.0, -side
         if closing > 0.0:
             spare = min(spare, gap - closing * closing / (2.0 * hard))
-        count = bound(
-            planes, count, nx, ny, gap, closing, speed, n + edge, limits, thrust_scale, bx, by
-        )
+        shares = thrust_scale, 1.0
+        count = bound(planes, count, nx, ny, gap, closing, speed, n + edge, limits, shares, bx, by)
     if speed > 0.5 * limits.speed:
         gx, gy = vx / speed, vy / speed
         planes[count, 0], planes[count, 1] = gx, gy

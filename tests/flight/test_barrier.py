@@ -290,6 +290,30 @@ def test_a_weak_vehicle_stops_before_the_edge(strength):
     assert 0.0 < edge < 0.2
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.2, 0.33])
+@pytest.mark.parametrize("weak", [0.75, 1.0])
+def test_a_slope_towards_the_edge_and_weak_jets_leave_room_for_a_stop(slope, weak):
+    """`slope` is the share of the jets' force that it takes, `weak` what they give of it."""
+    x, v, bias, spare = 0.0, 0.0, slope * HARD, math.inf
+    for _ in range(600):
+        fx, _, _, room = use((FORCE, 0.0), (x, 0.0), (v, 0.0), (), (bias, 0.0))
+        spare = min(spare, room)
+        a = weak * fx / MASS + slope * HARD
+        bias += 0.1 * (a - fx / MASS - bias)  # what the estimator learns in a second
+        x, v = x + PERIOD * (v + 0.5 * PERIOD * a), v + PERIOD * a
+    assert spare > -0.01  # the row `too_near`
+    assert LIMITS.half_x - 0.3 < x < LIMITS.half_x + 0.01
+
+
+@pytest.mark.parametrize("up", [-0.24, 0.0, 0.3])
+def test_a_slope_that_leaves_enough_changes_no_plan(up):
+    """`up` is the slope's share of the jets' force, away from the lower edge."""
+    _, y, hazard, _ = use((0.0, -FORCE), (0.0, -2.5), (0.0, -0.15), (), (0.0, up * HARD))
+    left = speed_left(0.28, 0.15, 0.15, DECEL, HARD, LIMITS.slow)
+    assert hazard == 3
+    assert y == pytest.approx(-MASS * ((left - 0.15) / PERIOD + up * HARD))
+
+
 def test_a_law_that_flies_straight_at_an_obstacle_is_stopped_short_of_it():
     room = simulate(0, [(-2.0, 0.01)], [(0.5, 0.0, 0.8)], lambda *_: (FORCE, 0.0))
     assert 0.0 < room[1] < 0.1
