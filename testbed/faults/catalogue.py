@@ -11,6 +11,7 @@ from testbed.core.fault_injection import VALUES, Kind
 
 LINK = ("link_late", "link_out", "link_lost")
 NEIGHBOUR = ("neighbour_late", "neighbour_missing", "neighbour_silent")
+DEAF = (*LINK, "neighbour_late", "neighbour_missing")  # nobody else is silent
 POSES_STOP = ("pose_stale", "pose_missing", "pose_lost")
 POSES_WRONG = ("pose_jumped", "estimator_inconsistent", "pose_swapped", "pose_frozen")
 STANDS_WRONG = ("start", "heading", "fence")  # arming checks
@@ -54,8 +55,8 @@ CATALOGUE: dict[str, Case] = {
         "noisy_mocap", ("estimator_inconsistent", "pose_jumped", "pose_stale"), (0.01, 0.06)
     ),
     "swap_bodies": Case("swap_bodies", ("pose_swapped",)),
-    "delay_link": Case("delay_link", LINK + NEIGHBOUR, (0.6, 1.8), on_wires=("operator_gone",)),
-    "lose_link": Case("lose_link", LINK + NEIGHBOUR, on_wires=("operator_gone",)),
+    "delay_link": Case("delay_link", DEAF, (0.6, 1.8), on_wires=("operator_gone",)),
+    "lose_link": Case("lose_link", DEAF, on_wires=("operator_gone",)),
     "kill_process": Case("kill_process", (*NEIGHBOUR, FaultId.VEHICLE_SILENT)),
     "stick_open": Case("stick_open", ("valve_stuck_open", "valve_leaks", "valve_leaks_or_weak")),
     "stick_closed": Case(
@@ -127,7 +128,7 @@ CATALOGUE: dict[str, Case] = {
         "cut_serial", ("board_silent", FaultId.BOARD_LEFT_ARMED), lasts=(0.5, 1.5), rigs=BENCH
     ),
     # computers
-    "roaming": Case("lose_link", LINK + NEIGHBOUR, lasts=(2.5, 3.5), on_wires=("operator_gone",)),
+    "roaming": Case("lose_link", DEAF, lasts=(2.5, 3.5), on_wires=("operator_gone",)),
     "stop_process": Case("stop_process", (*NEIGHBOUR, FaultId.VEHICLE_SILENT), rigs=BENCH),
     "pause_process": Case(
         "stop_process", ("overrun", FaultId.BOARD_LEFT_ARMED, *NEIGHBOUR), lasts=(0.05, 0.5),

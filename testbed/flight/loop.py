@@ -35,6 +35,7 @@ from testbed.flight.faults import LONGEST_WORDS
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.pilot import Pilot
+from testbed.flight.witnesses import Witnesses
 
 # The host stops all vehicles if it has not heard one for both of these.
 SILENT_S = 1.2  # [s]
@@ -289,7 +290,7 @@ def fly(
     """
     fault: FaultReport | None = None
     failed_at, over = 0.0, False
-    silent_s = longest_silence(period)
+    silent_s, witnesses = longest_silence(period), Witnesses()
     k = 0
     while k < ticks:
         if fault is None and (flown := ahead(k)):
@@ -304,9 +305,12 @@ def fly(
         for node in vehicles:
             tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
+            witnesses.hear(node.name, tick)
             shut = shut and tick.shut
             if tick.fault is not None and fault is None:
                 fault, failed_at = replace(tick.fault, vehicle=node.name), t
+        if fault is not None and fleet is None:
+            fault = witnesses.blamed(fault)
         for host in hosts:
             answer = host.tick(t, armed)
             observer.host(host.name, answer)

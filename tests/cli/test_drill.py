@@ -329,6 +329,9 @@ def test_an_injection_that_cannot_be_is_refused(inject, words):
     assert words in str(raised.value)
 
 
+LOST = 'inject=[{kind="lose_link",vehicle="sat1",at_s=2.03}]'
+
+
 def flown(name, inject, duration):
     experiment = load(find(name), [f"duration_s={duration}", f"inject=[{inject}]", "seed=1"])
     return fly_case(experiment, experiment.inject[0])
@@ -366,6 +369,16 @@ def test_an_injected_fault_is_named_and_answered(inject, named, response, within
     # a dead vehicle is landed by its board
     assert found.at_rest_s is not None
     assert found.air == "off"
+
+
+@pytest.mark.parametrize("row", ["lose_link", "delay_link", "roaming"])
+def test_a_lost_link_is_not_called_the_silence_of_others(row):
+    what = replace(load(find("hold"), [LOST]).inject[0], vehicle="sat2")
+    flight = load(find("zhang2023_table"), ["duration_s=6", "seed=1"])
+    found = fly_case(replace(flight, inject=[what]), what, row)
+    assert (found.called, found.rightly) == ("link_lost", True)
+    silent = FaultReport("neighbour_silent", "", "sat2")
+    assert called(silent, [], CATALOGUE[row].names)[2] is False
 
 
 def test_an_obstacle_that_runs_into_a_vehicle_at_rest_is_no_fault_of_the_response():
