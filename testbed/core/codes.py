@@ -134,7 +134,7 @@ class FaultId(StrEnum):
     HOST_LAW_NOT_A_NUMBER = auto()
     LAW_STUCK = auto()  # it did not return, left threads running, or ended its process
     LAW_SLOW = auto()  # too slow for the bench and the table
-    FRAME_MOVED = auto()  # the cameras see the reference bodies elsewhere
+    FRAME_MOVED = auto()  # the cameras see the reference bodies, or several vehicles, elsewhere
     BOARD_FAILED = auto()  # it no longer executes plans
     BOARD_LEFT_ARMED = auto()
     BOARD_RESET = auto()  # its valves and its bearing air are shut

@@ -87,9 +87,10 @@ CATALOGUE: dict[str, Case] = {
     "old_poses": Case("delay_mocap", (*LATE, *POSES_WRONG), (0.2, 0.4), unnoticed=SMALL),
     "slow_frames": Case("slow_mocap", ("pose_rate_low", "pose_missing", "pose_lost")),
     "frame_bumped": Case(
-        "shift_frame", (*SHIFTED, "poses_step_back", "pose_jumped"), (0.005, 0.05)
+        "shift_frame", (*SHIFTED, "poses_step_back", "pose_jumped", FaultId.FRAME_MOVED),
+        (0.005, 0.05),
     ),
-    "frame_creeps": Case("creep_frame", ("frame_moved",), (0.01, 0.03), unnoticed=FOLLOWED),
+    "frame_creeps": Case("creep_frame", (FaultId.FRAME_MOVED,), (0.01, 0.03), unnoticed=FOLLOWED),
     "origin_moved": Case(
         "shift_frame", ("start",), (0.05, 0.15), at_start=True, unnoticed=FOLLOWED
     ),

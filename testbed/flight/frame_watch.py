@@ -10,7 +10,8 @@ from testbed.core.types import PoseSample
 OFF = 0.005  # a body this far from its place has moved, or the frame has [m]
 NOISES = 10.0  # the same in sigmas of the cameras' noise
 SHARE = 0.3  # of the newest pose in the mean
-ALONE = 0.3  # a body has moved alone if all others are off by less than this share
+ALONE = 0.3  # a body has moved alone if all others are off by less than this share,
+STRAIGHT = 0.02  # in their places, and not turned by more than this [rad]
 
 
 class FrameWatch:
@@ -38,8 +39,12 @@ class FrameWatch:
             return ""
         worst = max(off, key=far.__getitem__)
         rest = [far[name] for name in far if name != worst]
+        turned = any(
+            abs(turn) > STRAIGHT for name, (*_, turn) in self._off.items() if name != worst
+        )
         sizes = ", ".join(f"{name} {1e3 * far[name]:.0f} mm" for name in off)
-        if rest and max(rest) < ALONE * far[worst]:
+        alone = len(off) == 1 and not turned
+        if rest and alone and max(rest) < ALONE * far[worst]:
             return f"reference body moved: {sizes} off"
         turns = [turn for _, _, turn in self._off.values()]
         turn = math.degrees(sum(turns) / len(turns))
