@@ -9,6 +9,7 @@ from testbed.core.compiled import compiled
 from testbed.core.jets import effect_matrix
 from testbed.core.pulse import Timing, open_time, timing
 from testbed.core.vehicle import Vehicle
+from testbed.flight.flow import ROUNDED
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def note(fired, start, end, times_us):
         before, fired.held[last, j] = last - 1, 0.0
         if before >= 0 and fired.on[before, j] > 0.0 and fired.offset[last, j] < HAIR:
             up = fired.start[before] + fired.offset[before, j]
-            if min(up + fired.on[before, j], fired.end[before]) > start - HAIR:
+            if min(up + fired.on[before, j], fired.end[before]) > start - ROUNDED:
                 fired.held[last, j] = fired.held[before, j] + fired.on[before, j]
 
 

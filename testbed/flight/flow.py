@@ -10,6 +10,7 @@ from testbed.core.pulse import open_time
 
 INF = float("inf")
 HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
+ROUNDED = 1.1e-6  # a pulse ends so long before its plan at most: the period is rounded, too [s]
 
 
 @compiled
@@ -33,7 +34,7 @@ def flow_shares(times_us, begun, valve, period, share):
             begun[j] = 0.0
         if on > 0.0:
             begun[j] += on
-            if offset + on < period - HAIR:
+            if offset + on < period - ROUNDED:
                 flow += open_time(0.0, begun[j], valve, 0.0, INF) - begun[j]
                 begun[j] = 0.0
         share[j] = flow / period
