@@ -12,7 +12,9 @@ MOST_FRAMES = 10**7  # of motion capture; they stay in memory, too
 FASTEST_CAMERA = 10_000.0  # [Hz]
 MOST_STEPS = 10_000  # steps of a law per jet period
 MOST_REFERENCES = 100  # per message
-MOST_DELAY = 2.0  # largest valve delay in jet periods; boards remember four pulses
+MOST_DELAY = 2.0  # largest valve delay in jet periods
+LONGEST_AFTER = 3.0  # jet periods that a pulse may flow after its plan's; four are remembered
+MOST_LATE = 3.0  # of [spread] delay_s [sigmas]
 HAIR = 1e-9  # [s] tolerance for rounding errors
 
 
@@ -23,7 +25,8 @@ def bad_timing(experiment: Experiment) -> Iterator[Violation]:
     yield from _guidance(experiment)
     for name, setup in experiment.vehicles.items():
         key = ("vehicles", name, "model")
-        for violation in _valves(setup.model, experiment.flight.jet_period_s):
+        late = MOST_LATE * experiment.table.spread.delay_s
+        for violation in _valves(setup.model, experiment.flight.jet_period_s, late):
             yield violation._replace(key=(*key, *violation.key))
         air = setup.model.air
         if air.bearing_flow * experiment.duration_s > air.gas:
@@ -73,8 +76,8 @@ def _guidance(experiment: Experiment) -> Iterator[Violation]:
         yield Violation(("guidance", "preview_s"), expected, f"{guidance.preview_s:g} s")
 
 
-def _valves(vehicle: Vehicle, period: float) -> Iterator[Violation]:
-    """A plan must start, flow and end before the plans after it are forgotten."""
+def _valves(vehicle: Vehicle, period: float, late: float) -> Iterator[Violation]:
+    """A plan must start, flow and end before it is forgotten; valves may be `late` [s]."""
     valve = vehicle.valve
     expected = f"at most flight.jet_period_s, {period:g} s"
     for key, time in (
@@ -90,6 +93,11 @@ def _valves(vehicle: Vehicle, period: float) -> Iterator[Violation]:
         if (delay := getattr(valve, name)) > MOST_DELAY * period + HAIR:
             longest = f"at most {MOST_DELAY:g} times flight.jet_period_s, {MOST_DELAY * period:g} s"
             yield Violation(("valve", name), longest, f"{delay:g} s")
+    before = vehicle.command_delay_s + valve.close_ramp_s + late
+    if before + valve.close_delay_s > LONGEST_AFTER * period + HAIR:
+        longest = f"at most {max(0.0, LONGEST_AFTER * period - before):g} s: with {before:g} s of"
+        longest += " delay and ramp a pulse would flow for more than three jet periods too long"
+        yield Violation(("valve", "close_delay_s"), longest, f"{valve.close_delay_s:g} s")
     if valve.open_delay_s - valve.close_delay_s > period + HAIR:
         nothing = f"less than {valve.close_delay_s + period:g} s, or nothing flows in a jet period"
         yield Violation(("valve", "open_delay_s"), nothing, f"{valve.open_delay_s:g} s")

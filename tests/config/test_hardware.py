@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from testbed.config import find, load
+from testbed.config.error import ConfigError
 from testbed.config.hardware import push_everywhere
 from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Jet
@@ -23,6 +24,20 @@ def test_valve_times_that_just_meet_a_limit_are_not_refused_by_rounding():
 def test_valves_may_be_later_than_a_jet_period():
     times = {"open_delay_s": 0.15, "close_delay_s": 0.14}
     load(find("hold"), [f"vehicles.sat1.model.valve.{key}={value}" for key, value in times.items()])
+
+
+def test_a_pulse_that_the_twin_would_forget_while_it_flows_is_refused():
+    """The twin remembers four pulses of a jet; the oldest flows for up to three periods more."""
+    times = {"valve.open_delay_s": 0.19, "valve.close_delay_s": 0.2, "valve.min_off_s": 0.1}
+    longest = {**times, "valve.close_ramp_s": 0.05, "valve.open_ramp_s": 0.05}
+    changes = [f"vehicles.sat1.model.{key}={value}" for key, value in longest.items()]
+    load(find("hold"), [*changes, "vehicles.sat1.model.command_delay_s=0.05"])
+    with pytest.raises(ConfigError) as refused:
+        load(find("hold"), [*changes, "vehicles.sat1.model.command_delay_s=0.051"])
+    assert refused.value.where.endswith("model.valve.close_delay_s=0.2")
+    assert "at most 0.199 s" in str(refused.value)
+    with pytest.raises(ConfigError):  # and so it is of valves that are later than in the file
+        load(find("hold"), [*changes, "table.spread.delay_s=0.02"])
 
 
 def jet(x: float, y: float, direction: float, thrust: float) -> Jet:
