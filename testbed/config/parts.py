@@ -7,9 +7,13 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
+from controllers.pd import PdParams
 from testbed.config.experiment import Experiment
 from testbed.core.landing import GRAVITY
 from testbed.core.vehicle import Air, Jet, Landing, Valve, Vehicle
+from testbed.flight.allocation import weakest_force
+from testbed.flight.modulation import PwmParams
+from testbed.flight.plan import planner_of
 
 SAME_PLACE = 1e-3  # jets nearer than this are one [m]
 SAME_WAY = math.radians(1.0)  # pushes with a smaller angle between them are one [rad]
@@ -19,6 +23,7 @@ SHORTEST_COAST = 1.0  # time constant of drag; U. Kentucky's turns stop with 1.1
 FASTEST_LANDING = 2.0  # [m/s]
 STEEPEST_LANDING = 0.1  # 0.6 deg; shipped tables have up to 0.02 [m/s^2]
 MOST_FRICTION = 1.0  # rubber on stone
+OFF = 0.05  # distance from the goal at which no jet fires [m] [assumption]
 
 
 def doubtful_parts(experiment: Experiment, vehicle: Vehicle) -> Iterator[tuple[str, str]]:
@@ -26,6 +31,7 @@ def doubtful_parts(experiment: Experiment, vehicle: Vehicle) -> Iterator[tuple[s
     yield from _same_jets(vehicle.jets)
     yield from _exhaust(vehicle.air)
     yield from _pulse(vehicle.valve, experiment.flight.jet_period_s)
+    yield from _dead_band(experiment, vehicle)
     yield from _drag(vehicle)
     yield from _landing(vehicle.landing, min(experiment.table.size))
 
@@ -59,6 +65,33 @@ def _pulse(valve: Valve, period: float) -> Iterator[tuple[str, str]]:
             "pulse",
             f"valve.min_on_s is {1e3 * valve.min_on_s:g} ms of the {1e3 * period:g} ms of"
             " flight.jet_period_s: a jet gives almost its whole thrust or nothing",
+        )
+
+
+def _dead_band(experiment: Experiment, vehicle: Vehicle) -> Iterator[tuple[str, str]]:
+    """Pulse width alone rounds small demands to nothing: the vehicle stays where it demands them.
+
+    The position loop demands w^2 d at a distance of d.
+    """
+    flight, period = experiment.flight, experiment.flight.jet_period_s
+    if not isinstance(flight.modulator, PwmParams):
+        return
+    modulator = planner_of(flight.modulator, vehicle, period).modulator
+    fits = modulator.min_on <= period - 2.0 * modulator.min_off
+    share = 0.5 * (modulator.min_on / period if fits else 1.0)
+    loop = flight.tracker.bandwidth
+    if experiment.guidance.mode == "wrench":
+        if not isinstance(experiment.controller, PdParams):
+            return
+        loop = experiment.controller.bandwidth
+    accel = share * weakest_force(vehicle) / vehicle.mass
+    if accel > OFF * loop**2:
+        whole = "" if fits else ", as a pulse with its pauses does not fit in a jet period"
+        yield (
+            "dead-band",
+            f"pwm fires nothing below {share:.0%} of a jet's thrust{whole}: that is"
+            f" {accel:.2g} m/s^2, and at {loop:.2g} rad/s the vehicle may stay"
+            f" {accel / loop**2:.2g} m from its goal. sigma_delta has no dead band",
         )
 
 

@@ -111,7 +111,8 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
         yield (
             "valve",
             f"valve.min_on_s is {1e3 * valve.min_on_s:g} ms, and a valve starts to open only after"
-            f" {1e3 * valve.open_delay_s:g} ms (open_delay_s): a pulse so short gives nothing",
+            f" {1e3 * valve.open_delay_s:g} ms (open_delay_s): shut again before, a valve may"
+            " give nothing",
         )
 
 

@@ -23,6 +23,11 @@ DOUBTED = {  # what is changed: what is said
     "exhaust speed in km/s": ([f"{MODEL}.air.exhaust_speed=0.6"], ["exhaust-speed", "gas"]),
     "a specific impulse": ([f"{MODEL}.air.exhaust_speed=61"], ["exhaust-speed"]),
     "a pulse that lasts a jet period": ([f"{MODEL}.valve.min_on_s=0.1"], ["pulse"]),
+    "small demands that pwm never fires": (
+        ["flight.modulator={type='pwm'}", "flight.jet_period_s=0.02", "guidance.mode='wrench'"],
+        ["dead-band"],
+    ),
+    "small demands of a fast loop": (["flight.modulator={type='pwm'}"], []),
     "a vehicle that hardly coasts": ([f"{MODEL}.drag=20", f"{MODEL}.spin_drag=0.4"], ["drag"] * 2),
     "landing in other units": (
         [f"{MODEL}.landing.speed=200", f"{MODEL}.landing.room=50", f"{MODEL}.landing.slope=0.5",
