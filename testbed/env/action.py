@@ -44,10 +44,12 @@ def checked(kind: Kind, action: object, vehicle: Vehicle, name: str) -> Action:
     """
     shape = space_of(kind, vehicle).shape
     try:
-        numbers = np.asarray(action, dtype=float)
-        found = f"shape {numbers.shape}"
-    except (TypeError, ValueError):
-        numbers, found = np.empty(0), reprlib.repr(action)
+        given = np.asarray(action)
+    except (TypeError, ValueError):  # rows of different lengths
+        given = np.empty(0, object)
+    real = given.dtype.kind in "biuf"  # not complex, nor texts that look like numbers
+    numbers = given.astype(float) if real else np.empty(0)
+    found = f"shape {given.shape}" if real else reprlib.repr(action)
     if numbers.shape != shape:
         raise TestbedError(
             where=f"action `{kind}` of {name}", expected=f"numbers of shape {shape}", found=found

@@ -20,7 +20,7 @@ from testbed.env.observation import Layout, seen
 from testbed.flight.turn import Turn, TurnAlong, turn_to
 from testbed.rig.chain import fence_of
 from testbed.run.arguments import wrong
-from testbed.run.stepper import Twin
+from testbed.run.stepper import Twin, check_flown
 
 Array = NDArray[np.float64]
 FAILED = -10.0  # reward of a contact, of leaving the fence, or of a fault
@@ -41,7 +41,8 @@ class World:
         anywhere: draw starts and goals anywhere on the table; else they are the experiment's.
 
     Raises:
-        TestbedError: no such action or observation.
+        TestbedError: no such action or observation, or the experiment has injected faults, forks or
+            a board, which are not flown here.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class World:
     ) -> None:  # fmt: skip
         _check_choice("action", action, get_args(Kind))
         _check_choice("observation", layout, get_args(Layout))
+        check_flown(experiment)
         self.experiment = experiment if randomise else _exact(experiment)
         self._action, self._layout, self._anywhere = action, layout, anywhere
         share = experiment.guidance.force_share

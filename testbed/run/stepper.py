@@ -29,15 +29,19 @@ class Twin:
 
     Args:
         experiment: from `testbed.load`; its law and its duration are not used: your loop ends the
-            flight.
+            flight. It has no injected faults, no forks, and the board `model`.
 
     Attributes:
         t: time of the next tick [s].
         period: duration of a tick [s].
+
+    Raises:
+        TestbedError: it is not an experiment, or has what is not flown here.
     """
 
     def __init__(self, experiment: Experiment) -> None:
         check_experiment("testbed.Twin", experiment)
+        check_flown(experiment)
         setups = experiment.vehicles
         self.t, self.period, self._k = 0.0, experiment.flight.jet_period_s, 0
         self._lead = {name: lead_time(setup.model) for name, setup in setups.items()}
@@ -159,6 +163,25 @@ class Twin:
     def contacts(self) -> int:
         """Number of contacts so far."""
         return len(self._table.plant.touches)
+
+
+def check_flown(experiment: Experiment) -> None:
+    """Refuse what `testbed.fly` flies and a `Twin` does not: it would be left out silently.
+
+    Raises:
+        TestbedError: the experiment has injected faults, forks or another board.
+    """
+    for key, given, none in (
+        ("inject", experiment.inject, []), ("forks", experiment.forks, []),
+        ("board", experiment.board, "model"),
+    ):  # fmt: skip
+        if given != none:
+            found = given if isinstance(given, str) else f"{len(given)} of them"
+            raise TestbedError(
+                where=f"testbed.Twin, or testbed.env: {key} of the experiment",
+                expected=f"{none!r}: only `testbed.fly` flies others", found=found,
+                hint=f"experiment.with_({key}={none!r})",
+            )  # fmt: skip
 
 
 class _Board:

@@ -211,6 +211,33 @@ def test_an_action_of_another_shape_is_refused(action, size):
     env.step([0] * size)
 
 
+@pytest.mark.parametrize("action", [["1", "0"], np.array([0.0, 1j]), [None, 0.0]])
+def test_an_action_that_is_no_real_numbers_is_refused(action):
+    env = TableEnv(step())
+    env.reset(seed=0)
+    with pytest.raises(testbed.TestbedError, match="numbers of shape"):
+        env.step(action)
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        'inject=[{kind="stick_open", vehicle="sat1", at_s=1.0, jet=2}]',
+        "forks=[{at_s=1.0, seed=3}]",
+        "board=inproc",
+    ],
+)
+def test_what_an_environment_does_not_fly_is_refused(override):
+    key = override.partition("=")[0]
+    experiment = testbed.load("hold", override)
+    for kind in (TableEnv, FleetEnv, testbed.Twin):
+        with pytest.raises(testbed.TestbedError, match=f"{key} of the experiment") as error:
+            kind(experiment)
+    plain = experiment.with_({key: "model" if key == "board" else []})
+    assert error.value.hint == f"experiment.with_({key}={getattr(plain, key)!r})"
+    TableEnv(plain)
+
+
 def test_each_vehicle_needs_an_action():
     fleet = FleetEnv(testbed.load("zhang2023_table"))
     fleet.reset(seed=0)
