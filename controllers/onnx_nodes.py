@@ -13,12 +13,13 @@ INSIDE = {  # by message: numbers of the fields that lead to nodes, and the mess
     "node": {5: "attribute"},
     "attribute": {6: "graph", 11: "graph"},
 }
-OP_TYPE = 4  # field of a node
+INPUT, OP_TYPE = 1, 4  # fields of a node: names of inputs, one after the other; the type
+TRAINED = "Dropout in training mode"  # a third input says so; without it Dropout does nothing
 VARINT, EIGHT_BYTES, BYTES, FOUR_BYTES = 0, 1, 2, 5  # kinds of fields
 
 
 def node_types(content: bytes) -> set[str]:
-    """Types of all nodes of a model, such as "MatMul", also of those in subgraphs.
+    """Types of all nodes of a model, such as "MatMul", also of those in subgraphs; and TRAINED.
 
     Raises:
         ValueError: the content is no protobuf.
@@ -26,11 +27,16 @@ def node_types(content: bytes) -> set[str]:
     found, todo = set(), [("model", memoryview(content))]
     while todo:
         message, data = todo.pop()
+        inputs, kind = list[bytes](), ""
         for number, value in _fields(data):
             if number in INSIDE[message]:
                 todo.append((INSIDE[message][number], value))
             elif message == "node" and number == OP_TYPE:
-                found.add(bytes(value).decode())
+                kind = bytes(value).decode()
+            elif message == "node" and number == INPUT:
+                inputs.append(bytes(value))
+        if kind:
+            found.add(TRAINED if kind == "Dropout" and any(inputs[2:]) else kind)
     return found
 
 

@@ -27,7 +27,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from controllers.law_file import UnusableLawError
-from controllers.onnx_nodes import node_types
+from controllers.onnx_nodes import TRAINED, node_types
 from controllers.plain_law import LawError
 from controllers.sampled import Sampled
 from controllers.scale import Scale
@@ -137,7 +137,7 @@ def _session(content: bytes, name: str) -> Any:
 
 def _check_nodes(content: bytes, name: str) -> None:
     try:
-        found = sorted(node_types(content) & {*RANDOM})
+        found = sorted(node_types(content) & {*RANDOM, TRAINED})
     except ValueError as error:  # onnxruntime reads another format, too
         raise UnusableLawError("file", "an ONNX model", f"{name}: {error}") from None
     if found:

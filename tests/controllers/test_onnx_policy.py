@@ -181,6 +181,19 @@ def test_a_policy_with_random_nodes_is_refused(write_policy):
     )
 
 
+def test_dropout_in_training_mode_is_random(write_policy):
+    make, tensor = onnx.helper, onnx.TensorProto
+    rate = make.make_node("Constant", [], ["rate"], value_float=0.001)
+    true = make.make_tensor("true", tensor.BOOL, [], [True])
+    mode = make.make_node("Constant", [], ["mode"], value=true)
+    product = make.make_node("MatMul", ["in0", "w"], ["product"])
+    drop = make.make_node("Dropout", ["product", "rate", "mode"], ["out"], seed=1)
+    policy = write_policy(*ONE_ROW, [rate, mode, product, drop])
+    assert "policy.onnx: Dropout in training mode" in refusal(policy)
+    still = Path(write_policy(*ONE_ROW, nodes("Dropout"))).read_bytes()
+    assert node_types(still) == {"MatMul", "Dropout"}
+
+
 def test_every_random_node_of_onnx_is_known():
     every = {one.name for one in onnx.defs.get_all_schemas() if not one.domain}
     assert {name for name in every if name.startswith("Random")} < set(RANDOM) <= every
