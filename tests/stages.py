@@ -177,11 +177,13 @@ class Flow:
 
     def __init__(self, vehicle, period):
         self.begun, self.period = np.zeros(len(vehicle.jets)), period
-        self.valve = fired.model_of(vehicle).valve
+        self.model = fired.model_of(vehicle)
 
     def of(self, command):
-        times, share = np.array(command.on_us + command.offset_us, float), self.begun.copy()
-        flow.flow_shares(times, self.begun, self.valve, self.period, share)
+        """Without and with droop, (2, jets)."""
+        times, share = np.array(command.on_us + command.offset_us, float), np.zeros((2, 8))
+        whole, none = np.ones(8), np.zeros(8)
+        flow.flow_shares(times, self.begun, self.model, whole, none, self.period, share)
         return share
 
 
@@ -203,7 +205,9 @@ class JetFaultDetector:
         self.m, self.heard = everything.fixed[0].jet_faults, everything.heard
 
     def look(self, state, duty, thrust_scale):
-        jet_faults.look(self.p, self.m, self.heard, as_record(state), duty, thrust_scale)
+        """The jets do not weaken each other."""
+        row, duties = as_record(state), np.array((duty, duty))
+        jet_faults.look(self.p, self.m, self.heard, row, duties, thrust_scale)
 
     def pause(self):
         jet_faults.pause(self.p, self.m, self.heard)

@@ -29,7 +29,7 @@ UNEQUAL = 0.8  # smallest plausible ratio of force between opposite directions
 FAST = 1.0  # largest plausible acceleration [m/s^2]
 STEEP = 0.4  # largest plausible share of the jets' acceleration for the slope
 LEAST_GYRATION, MOST_GYRATION = 0.1, 3.0  # plausible shares of the radius
-MOST_DROOP = 0.2  # up to which flights of healthy vehicles were not stopped
+MOST_DROOP = 0.2  # U. Kentucky's stand has 0.03, SPOT RED's logs say 0.36 to 0.67
 SLOW = 0.003  # smallest plausible acceleration [m/s^2]
 
 
@@ -84,8 +84,8 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
         yield (
             "droop",
             f"air.droop is {air.droop:.2g}: two open jets give {1.0 / (1.0 + air.droop):.0%} of"
-            f" their thrust each. Above {MOST_DROOP:g} a flight may take healthy jets for weak"
-            " ones, because the estimate counts open jets as a mean over each period",
+            f" their thrust each. More than {MOST_DROOP:g} is rare: is it the part that each"
+            " further open jet takes?",
         )
     can = strength(vehicle)
     for one, other in list(pairwise(WAYS))[::2]:

@@ -186,8 +186,10 @@ class Agent:
         """Each jet as the flight has shown it."""
         memory = self.memory
         gives, leaks, named = memory.fired.gives, memory.fired.leaks, memory.named
+        believed = memory.heard.innovations
         # a jet that is stuck open is judged by what it pushes anyway
-        shares = np.clip(np.maximum(gives, leaks) * (1.0 + memory.heard.off), 0.0, MOST)
+        shares = np.maximum(believed.gives, believed.leaks) * (1.0 + memory.heard.off)
+        shares = np.clip(np.where(np.maximum(gives, leaks) > 0.0, shares, 0.0), 0.0, MOST)
         rows = np.column_stack((shares, memory.heard.sigma, gives, leaks, named)).tolist()
         return tuple(
             JetHealth(share, sigma, gives, leaks, named or None)

@@ -104,7 +104,7 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
             memory.flowed, m.thrust_scale,
         )  # fmt: skip
         if p.online.each_jet:
-            online.follow_jets(memory.fired, memory.heard, p.gains.period)
+            online.follow_jets(memory.fired, memory.heard, m.jet_faults.probed, p.gains.period)
         reconfiguration.end_probe(
             p.jets_known, m.jet_faults, memory.heard, memory.fired, memory.named, told.t
         )
@@ -204,10 +204,11 @@ def plan(p, memory, row, wrench, thrust_scale):
     m.thrust_scale, done.seq = thrust_scale, m.seq
     starts, ends = told.t + p.command_delay, told.t + period + p.command_delay
     note(memory.fired, starts, ends, memory.times)
-    flow_shares(memory.times, memory.begun, p.model.valve, period, memory.flowed)
-    memory.flowed[:] = fired.gives * memory.flowed + fired.leaks * (1.0 - memory.flowed)
+    flow_shares(
+        memory.times, memory.begun, p.model, fired.gives, fired.leaks, period, memory.flowed
+    )
     m.gas_used = online.gas_used(
-        p.online, m.gas_used, told.tank_pressure, memory.flowed, thrust_scale, period
+        p.online, m.gas_used, told.tank_pressure, memory.flowed[1], thrust_scale, period
     )
 
 

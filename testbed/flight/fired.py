@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
 from testbed.core.jets import effect_matrix
-from testbed.core.pulse import Timing, open_time, timing
+from testbed.core.pulse import Timing, timing
+from testbed.core.scratch import scratch
 from testbed.core.vehicle import Vehicle
+from testbed.flight.droop import COLUMNS, give, note_pulse
 from testbed.flight.flow import ROUNDED
 
 Array = NDArray[np.float64]
@@ -92,12 +94,11 @@ def mean_wrench(fired, model, flow, start, end):
         end: [s].
     """
     jets = model.effect.shape[1]
-    flow[:] = 0.0
-    open_jets = 0.0
     closing, last = model.valve.close_delay + model.valve.close_ramp, fired.start.shape[0] - 1
     first = last  # of the plans that still give something
     while first > 0 and fired.end[first - 1] + closing > start:
         first -= 1
+    pulses, given, count = scratch((jets * (last + 1 - first), COLUMNS)), scratch(jets), 0
     for m in range(first, last + 1):
         if fired.start[m] >= end or fired.end[m] + closing <= start:
             continue
@@ -105,19 +106,12 @@ def mean_wrench(fired, model, flow, start, end):
             if fired.on[m, j] > 0.0:
                 up = fired.start[m] + fired.offset[m, j]
                 down = min(up + fired.on[m, j], fired.end[m])
-                held = fired.held[m, j]
-                flow[j] += open_time(up - held, down, model.valve, start, end)
-                if held > 0.0:  # counted with the plans before
-                    flow[j] -= open_time(up - held, up, model.valve, start, end)
-    span = end - start
-    for j in range(jets):
-        open_jets += fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
-    share = 1.0 / (1.0 + model.droop * max(0.0, open_jets / span - 1.0))
+                held = fired.held[m, j]  # counted with the plans before
+                count = note_pulse(pulses, count, j, up - held, up, down, model.valve, start, end)
+    give(pulses, count, model.droop, model.valve, fired.gives, fired.leaks, start, end, flow, given)
     fx = fy = tau = 0.0
     for j in range(jets):
-        level = fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
-        level *= share / span
-        flow[j] *= share
+        level = given[j] / (end - start)
         fx += model.effect[0, j] * level
         fy += model.effect[1, j] * level
         tau += model.effect[2, j] * level

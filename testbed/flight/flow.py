@@ -3,10 +3,15 @@
 A pulse loses the difference between opening and closing time once. A pulse that lasts to the end of
 its plan may continue with the next plan: then it loses nothing in between, and the loss is counted
 in the plan where it ends.
+
+The droop is that of the pulses of one plan. A pulse's last gas, which comes when the next plan has
+begun, counts as if the other pulses of its own plan went on.
 """
 
 from testbed.core.compiled import compiled
-from testbed.core.pulse import open_time
+from testbed.core.pulse import Timing, open_time
+from testbed.core.scratch import scratch
+from testbed.flight.droop import COLUMNS, flow_of, give, note_pulse
 
 INF = float("inf")
 HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
@@ -14,21 +19,30 @@ ROUNDED = 1.1e-6  # a pulse ends so long before its plan at most: the period is 
 
 
 @compiled
-def flow_shares(times_us, begun, valve, period, share):
+def flow_shares(times_us, begun, model, gives, leaks, period, share):
     """Write the share of a period for which each jet flows by a plan; plans come in order.
 
     Args:
         times_us: on, then offset in microseconds, shape (2 n,).
         begun: on-time so far of a pulse that may continue, shape (n,) [s]; changed in place.
-        valve: its timing.
+        model: fired.Model.
+        gives: share of its thrust that each jet gives while it is open, shape (n,).
+        leaks: and while it is not, shape (n,).
         period: of the plan [s].
-        share: shape (n,).
+        share: written: in times of its whole thrust, without and with droop, shape (2, n).
     """
-    jets = begun.shape[0]
+    jets, valve = begun.shape[0], model.valve
+    pulses, count = scratch((jets, COLUMNS)), 0
+    # the clock of the gas: the opening delay, which all pulses have, would carry it out of the plan
+    gas = Timing(0.0, valve.close_delay - valve.open_delay, valve.open_ramp, valve.close_ramp)
     for j in range(jets):
         on, offset = 1e-6 * times_us[j], 1e-6 * times_us[jets + j]
         flow = on
         goes_on = on > 0.0 and offset < HAIR
+        up = -begun[j] if goes_on else offset
+        down = offset + on if offset + on < period - HAIR else 2.0 * period
+        if on > 0.0 and model.droop > 0.0:
+            count = note_pulse(pulses, count, j, up, offset, down, gas, 0.0, period)
         if begun[j] > 0.0 and not goes_on:
             flow += open_time(0.0, begun[j], valve, 0.0, INF) - begun[j]
             begun[j] = 0.0
@@ -37,4 +51,24 @@ def flow_shares(times_us, begun, valve, period, share):
             if offset + on < period - ROUNDED:
                 flow += open_time(0.0, begun[j], valve, 0.0, INF) - begun[j]
                 begun[j] = 0.0
-        share[j] = flow / period
+        share[0, j] = flow / period
+    for j in range(jets):
+        share[0, j] = share[1, j] = gives[j] * share[0, j] + leaks[j] * (1.0 - share[0, j])
+    if count + leaks.max() > 1.0:
+        weaken(pulses, count, model.droop, gas, gives, leaks, period, share)
+
+
+@compiled
+def weaken(pulses, count, droop, valve, gives, leaks, period, share):
+    """Let the droop take its part of the second row of `share`; arguments as of droop.give."""
+    jets = gives.shape[0]
+    flow, given, whole = scratch(jets), scratch(jets), scratch(jets)
+    give(pulses, count, droop, valve, gives, leaks, 0.0, period, flow, given)
+    for j in range(jets):
+        whole[j] = leaks[j] * period
+    for k in range(count):
+        j = int(pulses[k, 0])
+        whole[j] += (gives[j] - leaks[j]) * flow_of(pulses[k], valve, 0.0, period)
+    for j in range(jets):
+        if whole[j] > 0.0:
+            share[1, j] *= given[j] / whole[j]

@@ -48,6 +48,7 @@ class Sums(NamedTuple):
     cov: Array  # their covariance, (m, m)
     changed: Array  # r of causes, by beginning, (BEGINNINGS, m, count)
     told: Array  # N and S of causes, by beginning, (BEGINNINGS, 2, count)
+    slow: Array  # see effectiveness.py, (m, m + 1)
 
 
 def shapes_of(jets: int) -> list[tuple[int, ...]]:
@@ -56,6 +57,7 @@ def shapes_of(jets: int) -> list[tuple[int, ...]]:
     return [
         (jets,), (jets,), (jets,), (3, 3, m), (3, 3, count), (BEGINNINGS, 3, 3, count),
         (3, 3, 3 * BEGINNINGS), (m,), (m, m), (BEGINNINGS, m, count), (BEGINNINGS, 2, count),
+        (m, m + 1),
     ]  # fmt: skip
 
 
@@ -64,6 +66,7 @@ def clear(p, sums):
     """Forget what was heard."""
     sums.sure[:], sums.moved[:], sums.before[:], sums.fades[:] = 0.0, 0.0, 0.0, 0.0
     sums.changed[:], sums.told[:], sums.z[:], sums.cov[:] = 0.0, 0.0, 0.0, 0.0
+    sums.slow[:] = 0.0
     for i in range(p.sure.shape[0]):
         sums.cov[i, i] = 1.0 / p.sure[i]
 

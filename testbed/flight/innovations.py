@@ -23,6 +23,7 @@ from testbed.core.scratch import scratch
 from testbed.core.se2 import to_table_compiled, wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import Vehicle
+from testbed.flight import effectiveness
 from testbed.flight.hypotheses import ALL, DELAYED, DELAYS, PUSHED, ROTATED, SLOWED, X, Y, pads_of
 from testbed.flight.innovation_sums import FORGETS, Look, add, age, clear, learn, weigh
 from testbed.flight.record import record
@@ -169,6 +170,7 @@ def look(p, m, sums, flown, model, thrust_scale):
     z, count = sums.z.shape[0], sums.told.shape[2]
     acts, gone = scratch((3, 3, z + count)), scratch((3, n))
     push, shaken = scratch((3, 3)), scratch(2)  # the latter: variance by pulses, see below
+    errors, weights = scratch(3), scratch(3)
     seen = Look(
         scratch((3, 2)), scratch((3, 3)), scratch((3, 3)), scratch((3, z)), scratch((3, z)),
         scratch(3), scratch(3),
@@ -208,6 +210,7 @@ def look(p, m, sums, flown, model, thrust_scale):
             seen.steps[axis, i], seen.gain[axis, i] = steps[i], gain[i]
         seen.sees[axis, 0], seen.sees[axis, 1] = sees
         learn(sums, seen, axis, both, error, noise)
+        errors[axis], weights[axis] = error, 1.0 / (noise * max(1.0, m.noise))
         m.heard += 0.0 if outside else 1.0
         m.squares += seen.weight[axis] * seen.left[axis] * seen.left[axis]
         for i in range(3):
@@ -224,6 +227,7 @@ def look(p, m, sums, flown, model, thrust_scale):
             cov[0, 0] += error * error
             cov[1, 1] += UNKNOWN * UNKNOWN
         cov[2, 2] += span * walk
+    effectiveness.learn(sums.slow, seen.g, errors, weights, p.period)
     add(sums, seen, acts)
     weigh(p, m, sums, gone[0])
     begin_look(m, sums, flown)

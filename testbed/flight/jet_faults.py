@@ -35,7 +35,7 @@ from testbed.core.se2 import to_table_compiled
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight import innovation_sums, innovations
-from testbed.flight.effectiveness import learn, resolve
+from testbed.flight.effectiveness import resolve
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of
 from testbed.flight.nudges import Nudges, hear, hear_long, judge
@@ -119,13 +119,12 @@ MEMORY = record(
 class Heard(NamedTuple):
     """Memory of the detector, changed in place."""
 
-    duty: Array  # sum over the ticks since the last look, (n,)
+    duty: Array  # sum over the ticks since the last look, (2, n)
     recent: Array  # z and causes of the last looks, not yet delayed, (looks, 3, m + n + COLUMNS)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
     sums: Array  # of causes and residuals as of `residual`, (3, m + n + COLUMNS + 1)
     calm: Array  # `bias` up to two spans of CALM ago, the older one first, (2, 2)
-    slow: Array  # see effectiveness.py, (m, m + 1)
-    off: Array  # deviation of each jet from its thrust, as a share of it, (n,)
+    off: Array  # deviation of each jet from what the innovations believe, as a share of it, (n,)
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
@@ -142,7 +141,7 @@ def look(p, m, heard, state, duty, thrust_scale):
         m: MEMORY, changed in place.
         heard: Heard.
         state: record.STATE.
-        duty: shape (n,).
+        duty: see flow.flow_shares, shape (2, n).
         thrust_scale: of the thrust at the supply pressure.
     """
     heard.duty[:] += duty
@@ -186,14 +185,16 @@ def residual(before, now, duty, thrust_scale, known, heard, look, late):
 
     That is its last column; it has the shape (3, m + n + COLUMNS + 1).
     """
-    n, period, shown = duty.shape[0], known.period, known.shown
-    looks, m = shown.shape[0], duty.shape[0] + 4
+    opened, given, n = duty[0], duty[1], duty.shape[1]
+    period, shown = known.period, known.shown
+    looks, m = shown.shape[0], n + 4
     theta = before[0] + 0.5 * period * before[3]
     c, s = np.cos(theta), np.sin(theta)
     open_jets = 0.0
     for j in range(n):
-        open_jets += max(0.0, duty[j])
-    level = period * thrust_scale / (1.0 + known.droop * max(0.0, open_jets - 1.0))
+        open_jets += max(0.0, opened[j])
+    level = period * thrust_scale
+    beside = 1.0 / (1.0 + known.droop * max(0.0, open_jets - 1.0))  # the share of a leak
     fresh = heard.recent[look % looks]
     fresh[:] = 0.0
     e, push = scratch(3), scratch(3)
@@ -206,14 +207,14 @@ def residual(before, now, duty, thrust_scale, known, heard, look, late):
     for j in range(n):
         ax, ay = known.effect[0, j], known.effect[1, j]
         whole = (level * (c * ax - s * ay), level * (s * ax + c * ay), level * known.effect[2, j])
-        idle = 1.0 - min(max(duty[j], 0.0), 1.0)
+        idle = beside * (1.0 - min(max(opened[j], 0.0), 1.0))
         for axis in range(3):
-            fresh[axis, j] = duty[j] * whole[axis]
+            fresh[axis, j] = given[j] * whole[axis]
             fresh[axis, m + j] = idle * whole[axis]
-            push[axis] += duty[j] * whole[axis]
-            e[axis] -= duty[j] * whole[axis]
-        push_x += duty[j] * ax
-        push_y += duty[j] * ay
+            push[axis] += given[j] * whole[axis]
+            e[axis] -= given[j] * whole[axis]
+        push_x += given[j] * ax
+        push_y += given[j] * ay
     fresh[2, n] = -level * push_y * known.gyration  # the centre of mass is further along x, y
     fresh[2, n + 1] = level * push_x * known.gyration
     fresh[0, n + 2] = fresh[1, n + 3] = period
@@ -238,7 +239,8 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         m: MEMORY.
         heard: Heard.
         now: theta, velocity of the centre of mass, omega at this look, shape (4,).
-        duty: share of the time since the last one for which each jet flowed, shape (n,).
+        duty: share of the time since the last one for which each jet flowed, see flow.flow_shares,
+            shape (2, n).
         thrust_scale: of the thrust at the supply pressure.
     """
     x = scratch((3, heard.sums.shape[1]))
@@ -263,12 +265,10 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     listen(near, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
     hear(heard.nudges.near, known.shown, m.look, weight, known.keep, x)
-    learn(heard.slow, near.spread, x, bias, known.period, known.rough)
     for axis in range(2):
         bias[axis] += settling * x[axis, -1] / known.period
     if m.look % SHOWN == 0:
-        slope = known.slope * known.slope + known.bumps * known.bumps + m.pulled * m.pulled
-        resolve(heard.slow, known.sure, 1.0 / slope, heard.off, heard.sigma)
+        resolve(heard.innovations.slow, known.innovations.sure, heard.off, heard.sigma)
     if m.look % known.block == 0:
         weigh_short(known, m, heard)
     m.summed += 1
@@ -294,7 +294,7 @@ def note_pull(known, m, heard):
     sure = certain(m.far.gains, m.far.sizes, known.least, PULL)
     pulled = m.far.sizes[PULL] if sure > 0.0 else 0.0
     if (pulled > 0.0) != (m.pulled > 0.0):
-        heard.slow[:] = 0.0
+        heard.innovations.slow[:] = 0.0
     m.pulled = pulled
 
 

@@ -56,7 +56,7 @@ class Memory(NamedTuple):
     carried: Carried  # by the modulator
     begun: Array  # on-time so far of a pulse that may continue, (jets,) [s]
     flown: Array  # see estimator.predict_mean, (2, jets)
-    flowed: Array  # share of the last period for which each jet flowed, (jets,)
+    flowed: Array  # see flow.flow_shares, of the last period, (2, jets)
     times: Array  # of the last plan: on, then offset, (2 jets,), whole [us]
     permanent: Window  # see permanent.py
     named: Array  # when each jet was taken out or compensated, (jets,) [s]; 0: never
@@ -81,14 +81,14 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), *3 * [(plans, jets)], one_a_jet, one_a_jet],
         Heard: [
-            one_a_jet, (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
-            (m, m + 1), one_a_jet, one_a_jet, *window, *window, *innovation_sums.shapes_of(jets),
+            (2, jets), (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
+            one_a_jet, one_a_jet, *window, *window, *innovation_sums.shapes_of(jets),
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
         Memory: [
-            one_a_jet, (2, jets), one_a_jet, (2 * jets,),
+            one_a_jet, (2, jets), (2, jets), (2 * jets,),
             (m, m + 1), (1, m + 2, width_of(jets)), (1,), (1,), (2,), (3,), one_a_jet,
         ],
     }  # fmt: skip
@@ -100,11 +100,11 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
+    duty, recent, bias, total, calm, off, sigma, *parts = views[Heard]
     near, far = Window(*parts[:6]), Window(*parts[6:12])
-    innovations, nudges = innovation_sums.Sums(*parts[12:23]), Nudges(*parts[23:])
+    innovations, nudges = innovation_sums.Sums(*parts[12:24]), Nudges(*parts[24:])
     fired = Fired(*views[Fired])
-    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, innovations, nudges)
+    heard = Heard(duty, recent, bias, total, calm, off, sigma, near, far, innovations, nudges)
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2

@@ -39,7 +39,6 @@ class Online(NamedTuple):
     full: float  # pressure of the full tank [Pa]
     bearings: float  # flow [kg/s]
     jets: NDArray[np.float64]  # flow of each open jet at the set pressure, (jets,) [kg/s]
-    droop: float  # see vehicle.Air
 
 
 def online_of(params: OnlineParams, vehicle: Vehicle) -> Online:
@@ -47,9 +46,8 @@ def online_of(params: OnlineParams, vehicle: Vehicle) -> Online:
     air = vehicle.air
     jets = np.array([jet.thrust for jet in vehicle.jets]) / air.exhaust_speed
     return Online(
-        params.mass, params.thrust, params.jets, air.gas, air.tank_pressure, air.bearing_flow,
-        jets, air.droop,
-    )  # fmt: skip
+        params.mass, params.thrust, params.jets, air.gas, air.tank_pressure, air.bearing_flow, jets
+    )
 
 
 @compiled
@@ -60,18 +58,17 @@ def gas_used(p, used, tank_pressure, flowed, thrust_scale, period):
         p: Online.
         used: before the period [kg].
         tank_pressure: 0: no gauge [Pa].
-        flowed: share of the period for which each jet flowed, (jets,).
+        flowed: share of the period for which each jet flowed, in times of its flow without
+            droop, (jets,).
         thrust_scale: supply pressure over set pressure.
         period: [s].
     """
     if tank_pressure > 0.0:
         return p.gas * (1.0 - min(1.0, tank_pressure / p.full))
-    flow, open_jets = 0.0, 0.0
+    flow = 0.0
     for j in range(flowed.shape[0]):
         flow += flowed[j] * p.jets[j]
-        open_jets += flowed[j]
-    flow *= thrust_scale / (1.0 + p.droop * max(0.0, open_jets - 1.0))
-    return min(p.gas, used + period * (flow + p.bearings))
+    return min(p.gas, used + period * (thrust_scale * flow + p.bearings))
 
 
 @compiled
@@ -96,31 +93,24 @@ def gains_now(p, gains, used):
 
 
 @compiled
-def follow_jets(fired, heard, period):
+def follow_jets(fired, heard, probed, period):
     """Let the thrust that is assumed of each jet follow what the motion tells of it, in place.
 
-    Only what is beyond one sigma moves it: an estimate of noise would wander. The sums of past
-    looks are written anew with the thrust that is now assumed, so that nothing is counted twice. A
-    jet that leaks, or was taken out, stays as it was found.
+    Only what is beyond one sigma moves it: an estimate of noise would wander. The innovations keep
+    the thrust that they began with, so what they tell does not depend on what is assumed. A jet
+    that leaks, was taken out or is probed stays as it was found.
 
     Args:
         fired: fired.Fired.
         heard: jet_faults.Heard.
+        probed: see jet_faults.MEMORY.
         period: [s].
     """
-    slow, m, off = heard.slow, heard.slow.shape[0], heard.off
-    for j in range(off.shape[0]):
-        sure = max(0.0, abs(off[j]) - heard.sigma[j])
-        if sure == 0.0 or fired.leaks[j] > 0.0 or fired.gives[j] == 0.0:
+    believed = heard.innovations.gives
+    for j in range(believed.shape[0]):
+        if fired.leaks[j] > 0.0 or fired.gives[j] == 0.0 or j == probed - 1:
             continue
-        change = np.copysign(sure, off[j]) * period / SLOWLY_S
-        after = min(max(fired.gives[j] * (1.0 + change), LEAST), MOST)
-        change = after / fired.gives[j] - 1.0
-        fired.gives[j] = after
-        for i in range(m):
-            slow[i, m] -= change * slow[i, j]
-        for i in range(m):
-            slow[i, j] *= 1.0 + change
-        for i in range(m + 1):
-            slow[j, i] *= 1.0 + change
-        off[j] = (1.0 + off[j]) / (1.0 + change) - 1.0
+        left = believed[j] * (1.0 + heard.off[j]) - fired.gives[j]
+        sure = max(0.0, abs(left) - believed[j] * heard.sigma[j])
+        after = fired.gives[j] + np.copysign(sure, left) * period / SLOWLY_S
+        fired.gives[j] = min(max(after, LEAST), MOST)

@@ -177,7 +177,7 @@ def restart(p, m, heard, fired):
     clear(heard.far)
     heard.nudges.near[:] = heard.nudges.far[:] = 0.0
     heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
-    heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD
+    heard.innovations.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD
 
 
 @compiled

@@ -144,7 +144,10 @@ class Twin:
         memory, times = agent.memory, np.array(on + offset, dtype=float)
         memory.times[:] = times
         memory.fired.on[-1], memory.fired.offset[-1] = 1e-6 * np.array((on, offset))
-        flow_shares(times, memory.begun, agent.params.model.valve, self.period, memory.flowed)
+        fired, model = memory.fired, agent.params.model
+        flow_shares(
+            times, memory.begun, model, fired.gives, fired.leaks, self.period, memory.flowed
+        )
         command = replace(tick.outputs.command, on_us=on, offset_us=offset)
         return replace(tick, outputs=replace(tick.outputs, command=command))
 

@@ -283,6 +283,22 @@ def test_the_effectiveness_of_jets_is_within_its_sigmas():
     assert np.abs(off).max() < 3.0
 
 
+def test_a_law_that_answers_the_noise_makes_no_jet_look_strong():
+    """It closes the loop itself, and the noise that it answers goes by itself."""
+    noisy = "table.mocap.noise=1e-3", "table.mocap.noise_deg=0.15"
+    experiment = load(find("zhang2023_table_wrench"), [*noisy, "seed=1", "duration_s=60"])
+    rig = make_twin(experiment)
+    true, off = rig.twin.plant.parameters, []
+    rig.fly(NullObserver())
+    for k, (name, setup) in enumerate(experiment.vehicles.items()):
+        heavier = true.mass[k] / setup.model.mass  # less of a push looks the same
+        thrusts = true.thrust[k] / [jet.thrust for jet in setup.model.jets]
+        off += [
+            one.share - real / heavier for one, real in zip(rig.jets(name), thrusts, strict=True)
+        ]
+    assert abs(np.mean(off)) < 0.05
+
+
 def test_full_thrust_while_the_estimator_settles_names_no_jet():
     """A velocity that is found in the first second looks like a push, and stayed in the window."""
     experiment = replace(scenario(342, 41), duration_s=5.0)
