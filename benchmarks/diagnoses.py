@@ -163,7 +163,8 @@ def fly(name, number, seed):
     needed = fault.words.format(jet=what.jet)
     told = not stopped or needed in words
     right, either = decided in fault.right and told, decided in fault.either and told
-    since = next((t for t, row in rows if row == decided), ending.t)
+    found_t = ending.t if ending.found_t is None else ending.found_t
+    since = next((t for t, row in rows if row == decided), found_t)  # the run may name it itself
     answers = [t for t, _, one in notes.responses if t >= began and one != Response.WARN]
     until = min(answers, default=ending.t)
     contact = any(began <= touch.t <= until for touch in rig.touches)
