@@ -120,9 +120,3 @@ class Rows:
     def message(self, k: int) -> bytes:
         """The bytes of row `k` as a CDR message."""
         return self.memory[k, SPARE:].tobytes()
-
-    def messages(self, number: int) -> list[bytes]:
-        """The same of the first `number` rows; one copy and slices of it are faster."""
-        pitch = self.memory.shape[1]
-        whole = self.memory[:number].tobytes()
-        return [whole[at + SPARE : at + pitch] for at in range(0, number * pitch, pitch)]
