@@ -15,10 +15,11 @@ from testbed.config.experiment import Experiment
 from testbed.net.credentials import untrusted
 
 NAME = r"(?=.*[A-Za-z])[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"  # of a machine
+ROS_NAME = r"[A-Za-z_][A-Za-z0-9_]*"  # of a part of a topic
 
 
 def bad_network(experiment: Experiment) -> Iterator[Violation]:
-    """Find errors in `[lab]`: cameras, keys, endpoint, ports."""
+    """Find errors in `[lab]`: cameras, keys, endpoint, ports; and names that ROS 2 refuses."""
     yield from _mocap(experiment)
     yield from _shared(experiment)
     network = experiment.table.lab.network
@@ -29,6 +30,10 @@ def bad_network(experiment: Experiment) -> Iterator[Violation]:
     if (why := untrusted(network.ros2_endpoint, None)) is not None:
         at = ("table", "lab", "network", "ros2_endpoint")
         yield Violation(at, why.expected, show(network.ros2_endpoint))
+    for name in experiment.vehicles if network.ros2 else ():
+        if not re.fullmatch(ROS_NAME, name, re.ASCII):
+            expected = "a name for topics of ROS 2: letters, digits and _, no digit first"
+            yield Violation(("vehicles", name), expected, show(name))
 
 
 def _mocap(experiment: Experiment) -> Iterator[Violation]:

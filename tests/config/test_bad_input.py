@@ -627,3 +627,14 @@ def test_a_long_unknown_key_is_cut() -> None:
     Path("experiment.toml").write_text(f"{'k' * 100_000} = 1\n{HOLD}")
     message = refused("experiment.toml")
     assert len("".join(message)) < 1000
+
+
+@pytest.mark.parametrize("name", ["sat-1", "1"])
+def test_a_vehicle_whose_name_ros_2_refuses(here: Path, name: str) -> None:
+    text = (SHIPPED / "experiments" / "hold.toml").read_text()
+    text = text.replace("vehicles.sat1", f'vehicles."{name}"').replace("../vehicles/", "")
+    (here / "own.toml").write_text(text.replace("../tables/", "").replace("_6m.toml", "_6m")
+                                   .replace("_8jet.toml", "_8jet"))  # fmt: skip
+    message = refused("own.toml", ["table.lab.network.ros2=true"])
+    assert message.expected == "a name for topics of ROS 2: letters, digits and _, no digit first"
+    assert (message.key, message.found) == (f"vehicles.{name}", f'"{name}"')
