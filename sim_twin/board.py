@@ -9,7 +9,7 @@ Command times are integer nanoseconds, so the behaviour is exact. Rules, the sam
 * a pulse shorter than the minimum on-time is not played;
 * a valve that has just closed opens again only after the minimum off-time; the rest of the pulse
   is then played if it is still long enough. A pulse that continues one of the previous plan
-  without a gap, or with the rounding of a jet period to microseconds, is the same opening.
+  without a gap is the same opening.
 """
 
 import math
@@ -27,7 +27,6 @@ from testbed.core.vehicle import Vehicle
 
 SLOTS = 4  # pulses stored per jet: the one that closes, the one that flows, and spares
 LONG_AGO = -(10**15)  # time of unused slots [ns]
-ROUNDED = 1000  # a pulse that ends so short before the next plan goes on with it [ns]
 LONG_AFTER = 10**15  # closing time of a valve not yet closed [ns]
 
 
@@ -72,11 +71,11 @@ def play(wires, issued, valid_until, times_us):
             pulses.strength[j, 1:] = pulses.strength[j, :-1].copy()
             up[0] = down[0] = LONG_AGO
             openings -= 1
-        if down[-1] >= start - ROUNDED:  # still open, or closing at this instant
+        if down[-1] >= start:  # still open, or closing at this instant
             if on > 0 and up_at <= start:
                 down[-1] = max(down_at, start)
                 continue
-            down[-1] = min(down[-1], start)
+            down[-1] = start
         up_at = max(up_at, down[-1] + min_off)
         if on == 0 or on < min_on or down_at - up_at < min_on or down_at <= up_at:
             continue

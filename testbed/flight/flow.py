@@ -15,7 +15,6 @@ from testbed.flight.droop import COLUMNS, flow_of, give, note_pulse
 
 INF = float("inf")
 HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
-ROUNDED = 1.1e-6  # a pulse ends so long before its plan at most: the period is rounded, too [s]
 
 
 @compiled
@@ -48,7 +47,7 @@ def flow_shares(times_us, begun, model, gives, leaks, period, share):
             begun[j] = 0.0
         if on > 0.0:
             begun[j] += on
-            if offset + on < period - ROUNDED:
+            if offset + on < period - HAIR:
                 flow += open_time(0.0, begun[j], valve, 0.0, INF) - begun[j]
                 begun[j] = 0.0
         share[0, j] = flow / period
