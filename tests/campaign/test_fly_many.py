@@ -96,6 +96,7 @@ def test_ctrl_c_in_a_terminal_does_not_reach_a_worker():
     worker = Worker([sys.executable, "-c", does])
     with pytest.raises(LostRunError, match="with code 4"):
         worker.fly(Order(0, "name"), 60.0)
+    worker.stop()
 
 
 def test_a_worker_that_was_ended_starts_no_process():
