@@ -10,6 +10,10 @@ Command times are integer nanoseconds, so the behaviour is exact. Rules, the sam
 * a valve that has just closed opens again only after the minimum off-time; the rest of the pulse
   is then played if it is still long enough. A pulse that continues one of the previous plan
   without a gap is the same opening.
+
+Plans are in whole microseconds, and a jet period may be no whole number of them. A pulse that ends
+less than ROUNDED before its plan lasts to the plan's end, because the sender extends it, as
+`firmware_interface.session.carried` does on wires.
 """
 
 import math
@@ -27,6 +31,7 @@ from testbed.core.vehicle import Vehicle
 
 SLOTS = 4  # pulses stored per jet: the one that closes, the one that flows, and spares
 LONG_AGO = -(10**15)  # time of unused slots [ns]
+ROUNDED = 1500  # of on-time, offset and period, each to half a microsecond [ns]
 LONG_AFTER = 10**15  # closing time of a valve not yet closed [ns]
 
 
@@ -66,16 +71,18 @@ def play(wires, issued, valid_until, times_us):
         up, down, on = pulses.up[j], pulses.down[j], 1000 * times_us[j]
         up_at = start + 1000 * times_us[jets + j]
         down_at = min(up_at + on, end)
+        if on > 0 and down_at > end - ROUNDED:
+            down_at = end
         if up[-1] >= start:  # of the old plan and not begun: cancelled
             up[1:], down[1:] = up[:-1].copy(), down[:-1].copy()
             pulses.strength[j, 1:] = pulses.strength[j, :-1].copy()
             up[0] = down[0] = LONG_AGO
             openings -= 1
-        if down[-1] >= start:  # still open, or closing at this instant
+        if down[-1] >= start - 1:  # still open, or closing at this instant, to a nanosecond
             if on > 0 and up_at <= start:
                 down[-1] = max(down_at, start)
                 continue
-            down[-1] = start
+            down[-1] = min(down[-1], start)
         up_at = max(up_at, down[-1] + min_off)
         if on == 0 or on < min_on or down_at - up_at < min_on or down_at <= up_at:
             continue

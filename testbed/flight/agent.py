@@ -54,7 +54,7 @@ from testbed.flight.parameters import Parameters
 from testbed.flight.permanent import verdict_of
 from testbed.flight.record import DONE, ROW, STATE, TOLD, packing
 from testbed.flight.refusals import refusal_of, reported
-from testbed.flight.silence import named
+from testbed.flight.silence import blame_link
 from testbed.flight.warnings import Warnings
 
 
@@ -350,9 +350,9 @@ class Agent:
         """The report of row `k` of the fault table, which was latched at this tick."""
         name, row = self._faults[k]
         fleet = inputs.vitals.fleet if row.measures == Detector.FLEET else None
-        value = float(self.memory.counters.value[k])
-        said = self._said(row.measures, inputs, other, oldest)
-        return named(row.report(name, value, said, fleet and fleet.origin), self._faults, inputs)
+        value, said = self.memory.counters.value[k], self._said(row.measures, inputs, other, oldest)
+        fault = row.report(name, float(value), said, fleet and fleet.origin)
+        return blame_link(fault, self._faults, inputs)
 
     def _said(self, detector: Detector, inputs: Inputs, other: str, oldest: str) -> str:
         """Text for a detector's number at this tick, if it has one."""

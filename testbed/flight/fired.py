@@ -11,6 +11,7 @@ from testbed.core.pulse import Timing, timing
 from testbed.core.scratch import scratch
 from testbed.core.vehicle import Vehicle
 from testbed.flight.droop import COLUMNS, give, note_pulse
+from testbed.flight.flow import ROUNDED
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ def note(fired, start, end, times_us):
         before, fired.held[last, j] = last - 1, 0.0
         if before >= 0 and fired.on[before, j] > 0.0 and fired.offset[last, j] < HAIR:
             up = fired.start[before] + fired.offset[before, j]
-            if min(up + fired.on[before, j], fired.end[before]) > start - HAIR:
+            if min(up + fired.on[before, j], fired.end[before]) > start - ROUNDED:
                 fired.held[last, j] = fired.held[before, j] + fired.on[before, j]
 
 

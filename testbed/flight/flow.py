@@ -11,10 +11,11 @@ begun, counts as if the other pulses of its own plan went on.
 from testbed.core.compiled import compiled
 from testbed.core.pulse import Timing, open_time
 from testbed.core.scratch import scratch
-from testbed.flight.droop import COLUMNS, flow_of, give, note_pulse
+from testbed.flight.droop import COLUMNS, JET, flow_of, give, note_pulse
 
 INF = float("inf")
 HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
+ROUNDED = 1.5e-6  # a pulse that ends nearer to its plan's end lasts to it, see sim_twin/board [s]
 
 
 @compiled
@@ -39,7 +40,7 @@ def flow_shares(times_us, begun, model, gives, leaks, period, share):
         flow = on
         goes_on = on > 0.0 and offset < HAIR
         up = -begun[j] if goes_on else offset
-        down = offset + on if offset + on < period - HAIR else 2.0 * period
+        down = offset + on if offset + on < period - ROUNDED else 2.0 * period
         if on > 0.0 and model.droop > 0.0:
             count = note_pulse(pulses, count, j, up, offset, down, gas, 0.0, period)
         if begun[j] > 0.0 and not goes_on:
@@ -47,13 +48,13 @@ def flow_shares(times_us, begun, model, gives, leaks, period, share):
             begun[j] = 0.0
         if on > 0.0:
             begun[j] += on
-            if offset + on < period - HAIR:
+            if offset + on < period - ROUNDED:
                 flow += open_time(0.0, begun[j], valve, 0.0, INF) - begun[j]
                 begun[j] = 0.0
         share[0, j] = flow / period
     for j in range(jets):
         share[0, j] = share[1, j] = gives[j] * share[0, j] + leaks[j] * (1.0 - share[0, j])
-    if count + leaks.max() > 1.0:
+    if model.droop > 0.0 and (count > 1 or leaks.max() > 0.0):
         weaken(pulses, count, model.droop, gas, gives, leaks, period, share)
 
 
@@ -66,7 +67,7 @@ def weaken(pulses, count, droop, valve, gives, leaks, period, share):
     for j in range(jets):
         whole[j] = leaks[j] * period
     for k in range(count):
-        j = int(pulses[k, 0])
+        j = int(pulses[k, JET])
         whole[j] += (gives[j] - leaks[j]) * flow_of(pulses[k], valve, 0.0, period)
     for j in range(jets):
         if whole[j] > 0.0:

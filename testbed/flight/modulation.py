@@ -8,7 +8,7 @@ steady thrust they replace.
                two opposing jets cancel. No dead band, exact on average.
 `pwpf`         pulse-width pulse-frequency: a lag filter and a Schmitt trigger per jet. The
                textbook's analogue form fires at any time; here each period gets the first pulse of
-               the filter.
+               the filter, the valve's shortest pause after the one before.
 """
 
 import math
@@ -71,10 +71,20 @@ class Modulator(NamedTuple):
     trigger_off: float
     thrust: Array  # (jets,) [N]
     opposing: NDArray[np.int64]  # pairs that push against each other, shape (n, 2)
+    pause: float  # of PWPF: between two pulses [s]
 
 
-def modulator_of(params: ModulatorParams, vehicle: Vehicle, period: float) -> Modulator:
-    """The constants of the configured modulator."""
+def modulator_of(
+    params: ModulatorParams, vehicle: Vehicle, period: float, pause: float | None = None
+) -> Modulator:
+    """The constants of the configured modulator.
+
+    Args:
+        params: the configured modulator.
+        vehicle: its jets and valves; the times are those of flow.
+        period: [s].
+        pause: of PWPF, between two pulses; None: the shortest off-time of the valves [s].
+    """
     kinds = {PwmParams: PWM, SigmaDeltaParams: SIGMA_DELTA, PwpfParams: PWPF}
     pwpf = params if isinstance(params, PwpfParams) else PwpfParams()
     return Modulator(
@@ -82,13 +92,14 @@ def modulator_of(params: ModulatorParams, vehicle: Vehicle, period: float) -> Mo
         pwpf.gain, pwpf.lag_s, pwpf.trigger_on, pwpf.trigger_off,
         np.array([jet.thrust for jet in vehicle.jets]),
         np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2),
+        vehicle.valve.min_off_s if pause is None else pause,
     )  # fmt: skip
 
 
 class Carried(NamedTuple):
     """Memory of a modulator, changed in place."""
 
-    rest: Array  # of SIGMA_DELTA: wanted and not yet fired, (jets,) [s]
+    rest: Array  # SIGMA_DELTA: wanted and not yet fired; PWPF: left of a pause, (jets,) [s]
     filter: Array  # of PWPF, (jets,)
     open: Array  # of PWPF: 1 while the valve is open, (jets,)
 
@@ -178,9 +189,10 @@ def pulse_frequency(p, carried, j, duty):
     value, period, begin = carried.filter[j], p.period, 0.0
     shut, opened = p.gain * duty, p.gain * (duty - 1.0)  # targets of the filter
     if carried.open[j] == 0.0:
-        begin = crossing(value, shut, p.trigger_on, 1.0, p.lag)
+        begin = max(crossing(value, shut, p.trigger_on, 1.0, p.lag), carried.rest[j])
         if begin > period - p.min_on:  # the rest of the period is too short
             carried.filter[j] = lagged(value, shut, period, p.lag)
+            carried.rest[j] = max(0.0, carried.rest[j] - period)
             return 0.0, 0.0
         value = lagged(value, shut, begin, p.lag)
     left = period - begin
@@ -189,9 +201,10 @@ def pulse_frequency(p, carried, j, duty):
         value = lagged(value, opened, width, p.lag)
         carried.filter[j] = lagged(value, shut, left - width, p.lag)
         carried.open[j] = 0.0
+        carried.rest[j] = max(0.0, p.pause - (left - width))
         return width, begin
     carried.filter[j] = lagged(value, opened, left, p.lag)
-    carried.open[j] = 1.0
+    carried.open[j], carried.rest[j] = 1.0, 0.0
     return left, begin
 
 

@@ -7,9 +7,11 @@ from msgspec.structs import replace
 
 from testbed.core.compiled import compiled
 from testbed.core.vehicle import Vehicle
-from testbed.flight.modulation import Modulator, ModulatorParams, modulator_of
+from testbed.flight.flow import ROUNDED
+from testbed.flight.modulation import PWPF, Modulator, ModulatorParams, modulator_of
 
 WEAKEST = 0.1  # lowest share of the thrust used for planning
+HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
 
 
 class Planner(NamedTuple):
@@ -32,7 +34,9 @@ def planner_of(params: ModulatorParams, vehicle: Vehicle, period: float) -> Plan
         min_on_s=max(0.0, valve.min_on_s - stretch),
         min_off_s=max(0.0, valve.min_off_s + 0.5 * stretch),
     )
-    return Planner(modulator_of(params, replace(vehicle, valve=flow), period), stretch)
+    # at the start or end of a plan one end of a pulse may take the whole stretch
+    pause = max(0.0, valve.min_off_s + stretch + max(0.0, stretch))
+    return Planner(modulator_of(params, replace(vehicle, valve=flow), period, pause), stretch)
 
 
 @compiled
@@ -44,20 +48,32 @@ def in_microseconds(p, on, offset, effect, times):
         on: shape (jets,) [s].
         offset: shape (jets,) [s].
         effect: B, shape (3, jets), see jets.py.
-        times: on, then offsets, shape (2 jets,) [us].
+        times: on, then offsets, of the plan before; overwritten, shape (2 jets,) [us].
 
     Returns:
         the mean wrench fx, fy, tau of these times.
     """
     jets, period = on.shape[0], p.modulator.period
+    whole = np.rint(1e6 * period)
     fx = fy = tau = 0.0
     for j in range(jets):
         command = on[j]
+        lasted = times[j] > 0.0 and times[j] + times[jets + j] >= whole
         if 0.0 < on[j] < period:
             command = min(max(on[j] + p.stretch, 0.0), period)
         start = min(max(offset[j] - 0.5 * (command - on[j]), 0.0), period - command)
         times[j] = np.rint(1e6 * command)
         times[jets + j] = np.rint(1e6 * start)
+        if p.modulator.kind == PWPF and 0.0 < on[j] < period:
+            goes_on, lasts = lasted and offset[j] < HAIR, offset[j] + on[j] > period - HAIR
+            if goes_on or lasts:  # a pulse of several plans: only its own two ends move
+                begin, end = offset[j] - 0.5 * p.stretch, offset[j] + on[j] + 0.5 * p.stretch
+                # the board does not open for less than the shortest pulse in its first plan
+                latest = period - p.modulator.min_on - p.stretch - ROUNDED
+                begin = 0.0 if goes_on else max(0.0, min(begin, latest))
+                end = period if lasts else min(max(end, begin), period)
+                times[jets + j] = np.rint(1e6 * begin)
+                times[j] = np.rint(1e6 * end) - times[jets + j]
         duty = 1e-6 * times[j] / period
         fx += effect[0, j] * duty
         fy += effect[1, j] * duty

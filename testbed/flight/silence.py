@@ -36,7 +36,9 @@ def hears_nothing(silent: dict[str, float]) -> bool:
     return len(silent) > 1 and min(silent.values()) > SHARE * longest
 
 
-def named(report: FaultReport, rows: Iterable[tuple[str, Fault]], inputs: Inputs) -> FaultReport:
+def blame_link(
+    report: FaultReport, rows: Iterable[tuple[str, Fault]], inputs: Inputs
+) -> FaultReport:
     """The lost link as the fault of a vehicle that hears nothing; otherwise the same fault.
 
     Args:

@@ -113,7 +113,8 @@ def test_valves_are_drawn_as_they_opened(flown, browser, page_of):
         assert bars > 50
         area = pixels(page, "#raster")
         for hue in ((0, 105, 180), (200, 84, 0), (0, 120, 95)):  # each vehicle in its colour
-            assert near(area[:, 60:], hue) > 0.0002  # 0 without pulses; few fire in 12 s
+            assert near(area[:, 60:], hue) > 0.0002  # few fire in 12 s
+        assert near(area[:, 60:], (160, 0, 160)) == 0.0  # of no vehicle
 
 
 @pytest.mark.slow

@@ -6,12 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from sim_twin.board import Board, no_pulses
 from stages import Modulator
+from testbed.core.types import ValveCommand
 from testbed.flight.modulation import (
+    Carried,
     PwmParams,
     PwpfParams,
     SigmaDeltaParams,
 )
+from testbed.flight.modulation import pulses as fired_pulses
+from testbed.flight.plan import in_microseconds, planner_of
 
 JETS = 8
 KINDS = [PwmParams(), SigmaDeltaParams(), PwpfParams()]
@@ -279,3 +284,46 @@ def test_pwpf_pulses_last(vehicle, duty):
 def test_pwpf_pauses_last(vehicle, duty):
     on, offset = fire(Modulator(PwpfParams(), vehicle, 0.1), duty, 1000)
     assert (gaps(on, offset, 0.1) >= vehicle.valve.min_off_s - HAIR).all()
+
+
+@pytest.mark.parametrize("duty", [0.3, 0.6, 0.9, 0.95])
+@pytest.mark.parametrize("period", [0.02, 0.05, 0.1])
+def test_pwpf_waits_for_the_pause_of_a_slow_valve(vehicle, duty, period):
+    least = 0.8 * period
+    on, offset = fire(
+        Modulator(PwpfParams(), with_valve(vehicle, min_off_s=least), period), duty, 1000
+    )
+    assert (on > 0.0).any()
+    assert (gaps(on, offset, period) >= least - HAIR).all()
+
+
+@pytest.mark.parametrize("duty", [0.05, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("period", [0.02, 0.05, 0.1, 1 / 30, 1 / 60])
+@pytest.mark.parametrize(
+    ("opens", "closes"), [(0.003, 0.005), (0.012, 0.004), (0.006, 0.006)],
+    ids=["closes slowly", "opens slowly", "alike"],
+)  # fmt: skip
+def test_the_board_plays_every_plan_of_pwpf(vehicle, duty, period, opens, closes):
+    """Also pulses of several plans: once each, of the wanted time of flow."""
+    slow = with_valve(
+        vehicle, open_delay_s=opens, close_delay_s=closes, open_ramp_s=0.0, close_ramp_s=0.0
+    )
+    slow = replace(slow, command_delay_s=0.0)
+    planner = planner_of(PwpfParams(), slow, period)
+    carried, pulses = Carried(*np.zeros((3, JETS))), no_pulses(JETS)
+    board, times = Board(slow, pulses, np.random.default_rng(0)), np.zeros(2 * JETS)
+    wanted, planned, played = 0.0, 0.0, {}
+    for k in range(400):
+        on, offset = fired_pulses(planner.modulator, carried, np.full(JETS, duty), np.ones(JETS))
+        in_microseconds(planner, on, offset, np.zeros((3, JETS)), times)
+        whole = times.astype(int).tolist()
+        t = k * period
+        board.apply(ValveCommand(k + 1, t, t + period, tuple(whole[:JETS]), tuple(whole[JETS:])))
+        played |= dict(zip(pulses.up[0].tolist(), pulses.down[0].tolist(), strict=True))
+        wanted, planned = wanted + on[0], planned + 1e-6 * whole[0]
+    opened = {up: down for up, down in played.items() if up >= 0}
+    total = 1e-9 * sum(down - up for up, down in opened.items())
+    assert total == pytest.approx(planned, abs=2e-6 * 400)
+    # a pulse cannot begin before its plan: half of what it should last longer may be missing
+    flow = total + len(opened) * (closes - opens)
+    assert abs(flow - wanted) <= period + 0.5 * len(opened) * abs(opens - closes)

@@ -7,7 +7,7 @@ from testbed.config import find, load
 from testbed.config.shipped import shipped_faults
 from testbed.core.codes import FaultReport
 from testbed.core.types import ALL_WELL, Demand, Health, Inputs, Outputs, Tick, ValveCommand, Wrench
-from testbed.flight.silence import named
+from testbed.flight.silence import blame_link
 from testbed.flight.witnesses import Witnesses
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
@@ -42,7 +42,7 @@ GONE = report("operator_gone", 1.01)
     ],
 )
 def test_a_vehicle_that_hears_nothing_has_lost_its_link(fault, ages, make_state):
-    found = named(fault, ROWS, told(make_state, **ages))
+    found = blame_link(fault, ROWS, told(make_state, **ages))
     assert (found.id, found.detector, found.value) == ("link_lost", fault.detector, fault.value)
     assert found.text.startswith(f"link lost: nothing heard for {min(ages.values()):.2f} s from ")
     assert all(name in found.text for name in ages if name.startswith("sat"))
@@ -62,12 +62,12 @@ def test_a_vehicle_that_hears_nothing_has_lost_its_link(fault, ages, make_state)
     ],
 )
 def test_a_silent_sender_keeps_its_name(fault, ages, make_state):
-    assert named(fault, ROWS, told(make_state, **ages)) is fault
+    assert blame_link(fault, ROWS, told(make_state, **ages)) is fault
 
 
 def test_without_a_row_for_a_lost_link_nothing_changes(make_state):
     rows = [(name, row) for name, row in ROWS if name != "link_lost"]
-    assert named(SILENT, rows, told(make_state, sat2=1.59, sat3=1.5)) is SILENT
+    assert blame_link(SILENT, rows, told(make_state, sat2=1.59, sat3=1.5)) is SILENT
 
 
 def tick(inputs, state):

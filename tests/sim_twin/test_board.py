@@ -198,6 +198,16 @@ def test_pulses_without_a_gap_are_one_opening(openings):
     assert openings(*full, Plan(600, 100, 0, 5)) == [(0, 605)]
 
 
+@pytest.mark.parametrize("period", [1 / 30, 1 / 60, 0.14285714])
+def test_whole_periods_of_no_whole_microseconds_are_one_opening(make_vehicle, make_plan, period):
+    board = board_of(make_vehicle())
+    for k in range(6):
+        board.apply(make_plan(k * period, {JET: (0.0, period)}, lifetime=period))
+    assert board.openings == 1
+    lasted = 1e-9 * float(board.pulses.down[JET, -1] - board.pulses.up[JET, -1])
+    assert lasted == pytest.approx(6 * period, abs=1e-6)
+
+
 def test_a_new_plan_cuts_the_old_one_at_once(openings):
     assert openings(Plan(0, 100, 0, 100), Plan(30, 100, 50, 20)) == [(0, 30), (80, 100)]
     assert openings(Plan(0, 100, 0, 100), Plan(3, 100, 0, 0)) == [(0, 3)]
