@@ -1,7 +1,7 @@
 """Flies runs in worker processes of this machine, each run alone in its process.
 
 A worker that dies or hangs loses the run that it was flying, and a new worker takes the next one.
-Ctrl-C reaches the caller only, who ends the workers: they would print where it met them.
+Ctrl-C reaches only the caller, which ends the workers; they would print tracebacks.
 """
 
 import os
@@ -53,7 +53,7 @@ class Worker:
             self._base = ""
             if self._over:  # since the caller's order
                 self.stop()
-                raise LostRunError("not flown: the runs were broken off")
+                raise LostRunError("not flown: the runs were interrupted")
         assert self._process.stdin is not None
         if order.base == self._base:
             order = replace(order, base="")

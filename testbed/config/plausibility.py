@@ -84,8 +84,8 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
         yield (
             "droop",
             f"air.droop is {air.droop:.2g}: two open jets give {1.0 / (1.0 + air.droop):.0%} of"
-            f" their thrust each. More than {MOST_DROOP:g} is rare: is it the part that each"
-            " further open jet takes?",
+            f" their thrust each. More than {MOST_DROOP:g} is rare. Check that it is the share"
+            " that each further open jet takes",
         )
     can = strength(vehicle)
     for one, other in list(pairwise(WAYS))[::2]:
@@ -111,8 +111,8 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
         yield (
             "valve",
             f"valve.min_on_s is {1e3 * valve.min_on_s:g} ms, and a valve starts to open only after"
-            f" {1e3 * valve.open_delay_s:g} ms (open_delay_s): shut again before, a valve may"
-            " give nothing",
+            f" {1e3 * valve.open_delay_s:g} ms (open_delay_s): a valve that is closed before that"
+            " may give nothing",
         )
 
 

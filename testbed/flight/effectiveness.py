@@ -5,8 +5,8 @@ by the thrust and direction of every jet, the inertia and the centre of mass tog
 in their filter. The estimate is shown; a vehicle flies by it only if `flight.online.jets` says so.
 A pull that begins or ends in flight looks like weak jets, so then the estimate begins anew.
 
-The estimator's velocity would not do. A law that closes the loop itself answers its noise, and the
-noise then goes by itself, so every jet seemed to give 6 to 9 % more than it did.
+The estimated velocity is no basis for it: a law that closes the loop itself answers its noise, the
+noise then fades by itself, and every jet seemed to give 6 to 9 % more than it did.
 """
 
 import numpy as np
