@@ -250,8 +250,8 @@ class Detectors:
     def count_repeats(self, samples):
         return detectors.count_repeats(self.m, PoseSamples.of(samples).rows)
 
-    def jump(self, samples):
-        return detectors.jump(self.m, PoseSamples.of(samples).rows)
+    def jump(self, samples, clock_offset=0.0):
+        return detectors.jump(self.m, PoseSamples.of(samples).rows, clock_offset)
 
     @staticmethod
     def whose(jumped, samples, others):

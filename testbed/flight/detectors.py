@@ -102,7 +102,7 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
     """
     told, state, done = row.told, row.state, row.done
     age = rejected = 0.0
-    jumped = jump(m, samples)
+    jumped = jump(m, samples, told.clock_offset)
     done.other, done.oldest = whose(jumped, samples, neighbours), -1
     m.known = state.known
     if state.known == 1:
@@ -225,13 +225,17 @@ def place(then, motion, t):
 
 
 @compiled
-def jump(m, samples):
-    """Distance of the newest pose from the prediction of the last estimate [m]."""
+def jump(m, samples, clock_offset):
+    """Distance of the newest pose from the prediction of the last estimate [m].
+
+    Less the way of the vehicle in the time by which the clocks differ [s]: that is no jump.
+    """
     if m.known == 0 or samples.shape[0] == 0:
         return 0.0
     newest = samples[-1]
     x, y = place(m.before[0], m.before[1:], newest[0])
-    return length(newest[1] - x, newest[2] - y)
+    way = abs(clock_offset) * length(m.before[3], m.before[4])
+    return max(0.0, length(newest[1] - x, newest[2] - y) - way)
 
 
 @compiled

@@ -7,10 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.error import TestbedError
 from testbed.core.extra import needs_extra
 
 Array = NDArray[Any]
 SHOWN_ROWS = 10
+
+
+class UnknownColumnError(TestbedError, KeyError):
+    """A table has no column of this name."""
+
+    __str__ = Exception.__str__  # KeyError would show the text in quotes
 
 
 class Table(Mapping[str, Array]):
@@ -28,7 +35,17 @@ class Table(Mapping[str, Array]):
         self.units = dict(units or {})
 
     def __getitem__(self, name: str) -> Array:
-        """A column as an array."""
+        """A column as an array.
+
+        Raises:
+            KeyError: the table has no column of this name; a `TestbedError` too.
+        """
+        named = isinstance(name, str)
+        if not named or name not in self._columns:
+            raise UnknownColumnError(
+                where="table", expected=f"one of {', '.join(self)}", found=repr(name),
+                hint="" if named else "index the columns: table['t'][0]",
+            )  # fmt: skip
         return self._columns[name]
 
     __eq__, __hash__ = object.__eq__, object.__hash__  # a mapping's would compare arrays

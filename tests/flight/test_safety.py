@@ -79,6 +79,16 @@ def test_a_jump_is_measured_from_where_the_vehicle_should_be(make_state):
     assert Detectors().jump([sample(10.1, 9.0)]) == Detectors(before).jump([]) == 0.0
 
 
+@pytest.mark.parametrize("offset", [-0.9, 0.9])
+def test_a_step_of_the_clock_is_no_jump(make_state, offset):
+    before = make_state((1.0, 0.0, 0.0), (0.1, 0.0, 0.0), t=10.0)
+    seen = sample(10.1 - offset, 1.01)  # stamped by the other clock
+    assert Detectors(before).jump([seen]) == pytest.approx(0.09)
+    assert Detectors(before).jump([seen], offset) == pytest.approx(0.0)
+    aside = sample(10.1 - offset, 1.01, 0.3)
+    assert Detectors(before).jump([aside], offset) > 0.2
+
+
 def test_whose_pose_it_is(make_state):
     others = {"b": make_state((2.0, 0.0, 0.0), t=10.0), "c": make_state((0.0, 2.0, 0.0), t=10.0)}
     assert Detectors.whose(2.2, [sample(10.0, 0.1, 2.0)], others) == "c"

@@ -75,6 +75,18 @@ def test_a_run_is_a_mapping_of_vehicles(run):
     assert run.get("sat2") is None
 
 
+def test_a_table_is_a_mapping_of_columns(run):
+    table = run.table("sat1")
+    with pytest.raises(testbed.TestbedError, match="one of t, ") as caught:
+        table["time"]
+    assert isinstance(caught.value, KeyError)
+    assert (caught.value.found, caught.value.hint) == ("'time'", "")
+    assert table.get("time") is None
+    for row in 0, slice(3):
+        with pytest.raises(testbed.TestbedError, match="index the columns"):
+            table[row]
+
+
 def test_runs_and_tables_are_compared_as_objects(hold, run):
     other = testbed.fly(hold.with_(duration_s=1))
     assert [one for one in (run, other) if one != run] == [other]
