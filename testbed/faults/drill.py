@@ -17,8 +17,8 @@ from testbed.faults.catalogue import CATALOGUE
 from testbed.flight.arming import Check
 
 # time from detection until every valve must be shut: a plan in flight, or a stop; see docs
-# [s]; braking: the longest stop on board, and the ticks before and after it
-SHUT_WITHIN = {Response.BRAKE: 7.0, Response.COAST: 0.15, Response.LAND: 0.15}
+SHUT_WITHIN = {Response.COAST: 0.15, Response.LAND: 0.15}  # [s]
+BESIDE_BRAKE = 1.0  # beside the longest stop on board: the ticks before and after it [s]
 DEAD_WITHIN = 0.25  # the last plan of a dead process, and its time to live [s]
 ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s]
 WHEN = (2.0, 12.0)  # range of the injection time [s]
@@ -191,8 +191,15 @@ def answered(
     return max(known, key=known.__getitem__), acted - began
 
 
-def deadline(response: Response) -> float:
-    """Time from detection until every valve must be shut [s]."""
+def deadline(response: Response, longest_brake: float) -> float:
+    """Time from detection until every valve must be shut [s].
+
+    Args:
+        response: of the vehicle.
+        longest_brake: `flight.ending.brake_s` [s].
+    """
+    if response == Response.BRAKE:
+        return longest_brake + BESIDE_BRAKE
     return SHUT_WITHIN.get(response, math.inf)
 
 

@@ -89,7 +89,8 @@ def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled
     named, found = answered(_named(row, what, notes, began), own, began)
     response = max((one for _, one in own), default=Response.NONE)
     over = ending.fault is not None
-    limits = {name: _limit(name, what, after, began) for name in plant.names}
+    brake_s = experiment.flight.ending.brake_s
+    limits = {name: _limit(name, what, after, began, brake_s) for name in plant.names}
     touches = [
         touch for touch in plant.touches
         if began <= touch.t and (touch.t <= ending.t or touch.speed > HARD)
@@ -150,14 +151,15 @@ def _moves(experiment: Experiment, obstacle: str) -> bool:
 
 
 def _limit(
-    name: str, what: Injection, after: Sequence[tuple[float, str, Response]], began: float
-) -> float:
+    name: str, what: Injection, after: Sequence[tuple[float, str, Response]], began: float,
+    brake_s: float,
+) -> float:  # fmt: skip
     """Deadline for closing a vehicle's valves, from its severest response or its death [s]."""
     if what.kind == "kill_process" and name == what.vehicle:
         return began + DEAD_WITHIN
     own = [(t, one) for t, who, one in after if who == name]
     severest = max((one for _, one in own), default=Response.NONE)
-    return min((t for t, one in own if one == severest), default=0.0) + deadline(severest)
+    return min((t for t, one in own if one == severest), default=0.0) + deadline(severest, brake_s)
 
 
 def _named(row: str, what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:

@@ -13,7 +13,7 @@ import tomli_w
 from msgspec import Struct
 from msgspec.structs import replace
 
-from testbed.config import dump
+from testbed.config import Experiment, dump
 from testbed.core.codes import FaultReport, Response
 from testbed.core.error import TestbedError
 from testbed.core.fault_injection import OF_FRAME, Injection
@@ -104,8 +104,7 @@ def case(number: int, seed: int, name: str = EXPERIMENT) -> Drilled:
         raise DrillError("; ".join(one.words for one in flown.red))
     if flown.red:
         return refused(row, experiment.name, what, experiment.seed, flown.red)
-    names = list(experiment.vehicles)
-    return judge(what, experiment.name, experiment.seed, names, flown, row)
+    return judge(what, experiment, flown, row)
 
 
 class DrillError(TestbedError):
@@ -153,10 +152,9 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
     )  # fmt: skip
 
 
-def judge(
-    what: Injection, experiment: str, seed: int, names: list[str], flown: Flown, row: str = ""
-) -> Drilled:
+def judge(what: Injection, experiment: Experiment, flown: Flown, row: str = "") -> Drilled:
     """Judge the outcome of an injection; `row` of the catalogue, if not its kind."""
+    names = list(experiment.vehicles)
     began, report, listed = what.at_s or 0.0, flown.report, CATALOGUE[row or what.kind]
     wanted = (*listed.names, *listed.on_wires)
     right = [
@@ -182,7 +180,7 @@ def judge(
             responses = [r for r, t in one.responses.items() if t >= began]
             severest = max(responses, default=Response.NONE)
             since = one.responses.get(severest, began)
-        limit = since + deadline(severest)
+        limit = since + deadline(severest, experiment.flight.ending.brake_s)
         if is_mute and name == what.vehicle:
             limit = began + DEAD_WITHIN
         closed, open_after = _closing(report.edges[name], flown.epoch_ns, limit)
@@ -207,7 +205,7 @@ def judge(
     ]  # fmt: skip
     told, said, rightly = called(ended, rows, wanted)
     return Drilled(
-        row or what.kind, experiment, what.vehicle, seed, began, named,
+        row or what.kind, experiment.name, what.vehicle, experiment.seed, began, named,
         found,
         max((one for _, one in own), default=Response.NONE),
         shut - began if over else None, late, len(touches) - adrift, _travelled(flown, began),

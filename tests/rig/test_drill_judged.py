@@ -3,6 +3,7 @@
 import pytest
 
 from sim_twin.plant import Touch
+from testbed.config import find, load
 from testbed.core.codes import FaultReport, Response
 from testbed.core.fault_injection import Injection
 from testbed.faults.drill import cases_of
@@ -14,6 +15,7 @@ from testbed.run.drill_on_wires import NOTHING, DrillError, Flown, judge
 
 COUNTS = Counts({}, {}, {}, 0, 0, None, None)
 EPOCH = 5_000_000_000  # [ns]
+HOLD = load(find("hold"))
 
 
 def us(t):
@@ -35,8 +37,8 @@ def flown(edges, last_words, touches=(), fault=None):
     return Flown(EPOCH, report, {"sat1": last_words} if last_words else {}, fault)
 
 
-def judged(kind, what, row="", **more):
-    return judge(Injection(kind, "sat1", at_s=2.0, **more), "hold", 0, ["sat1"], what, row)
+def judged(kind, what, row="", experiment=HOLD, **more):
+    return judge(Injection(kind, "sat1", at_s=2.0, **more), experiment, what, row)
 
 
 LOST = FaultReport("pose_lost", "none", "sat1")
@@ -51,6 +53,14 @@ def test_a_fault_that_was_named_and_answered():
     assert found.shut_s == pytest.approx(0.6)
     assert found.travelled_m == pytest.approx(0.3)
     assert found.fault == LOST
+
+
+def test_a_vehicle_that_needs_longer_to_stop_has_longer():
+    pulse = [(us(10.0), 1), (us(10.1), 0)]  # braking since 2.5 s
+    assert HOLD.flight.ending.brake_s == 6.0
+    assert judged("drop_mocap", flown(pulse, BRAKED)).late == 1
+    heavy = load(find("hold"), ["flight.ending.brake_s=9.0"])
+    assert judged("drop_mocap", flown(pulse, BRAKED), experiment=heavy).late == 0
 
 
 def test_what_was_named_before_it_began_does_not_count():
