@@ -107,7 +107,7 @@ def planned(
     first = second = inf
     if end not in ENDS:
         jets = min(len(setup.model.jets) for setup in experiment.vehicles.values())
-        what = draw(end, list(experiment.vehicles), jets, rng)
+        what = draw(end, list(experiment.vehicles), jets, experiment.flight.jet_period_s, rng)
         lasts = (what.at_s or 0.0) + CATALOGUE[end].flown_s
         experiment = replace(experiment, duration_s=round(lasts, 1), inject=[what])
     elif end.startswith("stop"):

@@ -33,6 +33,7 @@ class Case(Struct, frozen=True):
     kind: Kind
     names: tuple[str, ...]  # ids of the faults or red arming checks that identify it
     sizes: tuple[float, float] | None = None  # range of `value`; None: its usual value
+    in_periods: bool = False  # whether these are times in jet periods
     lasts: tuple[float, float] | None = None  # range [s]; None: to the end
     at_start: bool = False  # there before the arming checks
     rigs: tuple[str, ...] = EITHER_RIG
@@ -55,7 +56,9 @@ CATALOGUE: dict[str, Case] = {
         "noisy_mocap", ("estimator_inconsistent", "pose_jumped", "pose_stale"), (0.01, 0.06)
     ),
     "swap_bodies": Case("swap_bodies", ("pose_swapped",)),
-    "delay_link": Case("delay_link", DEAF, (0.6, 1.8), on_wires=("operator_gone",)),
+    "delay_link": Case(
+        "delay_link", DEAF, (6.0, 18.0), in_periods=True, on_wires=("operator_gone",)
+    ),
     "lose_link": Case("lose_link", DEAF, on_wires=("operator_gone",)),
     "kill_process": Case("kill_process", (*NEIGHBOUR, FaultId.VEHICLE_SILENT)),
     "stick_open": Case("stick_open", ("valve_stuck_open", "valve_leaks", "valve_leaks_or_weak")),
@@ -77,7 +80,8 @@ CATALOGUE: dict[str, Case] = {
     "disk_full": Case("disk_full", ("disk_full",)),
     "config_differs": Case("config_differs", ("config_differs",)),
     "overrun": Case(
-        "overrun", ("overrun",), (0.064, 0.24), on_wires=(FaultId.BOARD_LEFT_ARMED,)
+        "overrun", ("overrun",), (0.64, 2.4), in_periods=True,
+        on_wires=(FaultId.BOARD_LEFT_ARMED,),
     ),
     # cameras
     "occlusion": Case("drop_mocap", POSES_STOP, lasts=(0.6, 3.0)),

@@ -16,10 +16,8 @@ from testbed.core.fault_injection import WITH_OTHER, Injection
 from testbed.faults.catalogue import CATALOGUE
 from testbed.flight.arming import Check
 
-# time from detection until every valve must be shut: a plan in flight, or a stop; see docs
-SHUT_WITHIN = {Response.COAST: 0.15, Response.LAND: 0.15}  # [s]
 BESIDE_BRAKE = 1.0  # beside the longest stop on board: the ticks before and after it [s]
-DEAD_WITHIN = 0.25  # the last plan of a dead process, and its time to live [s]
+BESIDE_PLANS = 0.05  # beside the periods of plans in flight: the way to the valves [s]
 ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s]
 WHEN = (2.0, 12.0)  # range of the injection time [s]
 # kinds after which the vehicle can no longer avoid a contact, and that only others can detect
@@ -111,11 +109,23 @@ def cases_of(rig: str, vehicles: int) -> list[str]:
     ]  # fmt: skip
 
 
-def draw(name: str, vehicles: Sequence[str], jets: int, rng: np.random.Generator) -> Injection:
-    """A random injection of a case, in the first seconds of a run."""
+def draw(
+    name: str, vehicles: Sequence[str], jets: int, period: float, rng: np.random.Generator
+) -> Injection:
+    """A random injection of a case, in the first seconds of a run.
+
+    Args:
+        name: in the catalogue.
+        vehicles: names.
+        jets: of the vehicle with the fewest.
+        period: of the jets [s].
+        rng: seeded.
+    """
     case, who = CATALOGUE[name], rng.permutation(len(vehicles))
     at = round(float(rng.uniform(*WHEN)), 4)
     size = None if case.range is None else float(rng.uniform(*case.range))
+    if size is not None and case.in_periods:
+        size *= period
     jet = int(rng.integers(1, jets + 1))
     if case.kind == "swap_jets":
         size = float((jet - 1 + rng.integers(1, jets)) % jets + 1)
@@ -191,16 +201,24 @@ def answered(
     return max(known, key=known.__getitem__), acted - began
 
 
-def deadline(response: Response, longest_brake: float) -> float:
+def deadline(response: Response, period: float, longest_brake: float) -> float:
     """Time from detection until every valve must be shut [s].
 
     Args:
         response: of the vehicle.
+        period: of the jets [s].
         longest_brake: `flight.ending.brake_s` [s].
     """
     if response == Response.BRAKE:
         return longest_brake + BESIDE_BRAKE
-    return SHUT_WITHIN.get(response, math.inf)
+    if response in (Response.COAST, Response.LAND):
+        return period + BESIDE_PLANS  # a plan in flight
+    return math.inf
+
+
+def dead_within(period: float) -> float:
+    """Time until the valves of a dead process must be shut: its last plan, and its life [s]."""
+    return 2.0 * period + BESIDE_PLANS
 
 
 def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:

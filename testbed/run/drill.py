@@ -19,12 +19,12 @@ from testbed.faults.catalogue import CATALOGUE
 from testbed.faults.drill import (
     ADRIFT,
     ASKED,
-    DEAD_WITHIN,
     OTHERS,
     Drilled,
     answered,
     called,
     cases_of,
+    dead_within,
     deadline,
     draw,
     names_of,
@@ -32,6 +32,7 @@ from testbed.faults.drill import (
 )
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import SILENT_S, host_fault, longest_silence
+from testbed.flight.parameters import FlightParams
 from testbed.metrics.afterwards import HARD
 from testbed.rig.chain import fence_of
 from testbed.rig.twin import TwinRig, make_twin
@@ -89,8 +90,7 @@ def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled
     named, found = answered(_named(row, what, notes, began), own, began)
     response = max((one for _, one in own), default=Response.NONE)
     over = ending.fault is not None
-    brake_s = experiment.flight.ending.brake_s
-    limits = {name: _limit(name, what, after, began, brake_s) for name in plant.names}
+    limits = {name: _limit(name, what, after, began, experiment.flight) for name in plant.names}
     touches = [
         touch for touch in plant.touches
         if began <= touch.t and (touch.t <= ending.t or touch.speed > HARD)
@@ -152,14 +152,15 @@ def _moves(experiment: Experiment, obstacle: str) -> bool:
 
 def _limit(
     name: str, what: Injection, after: Sequence[tuple[float, str, Response]], began: float,
-    brake_s: float,
+    flight: FlightParams,
 ) -> float:  # fmt: skip
     """Deadline for closing a vehicle's valves, from its severest response or its death [s]."""
     if what.kind == "kill_process" and name == what.vehicle:
-        return began + DEAD_WITHIN
+        return began + dead_within(flight.jet_period_s)
     own = [(t, one) for t, who, one in after if who == name]
     severest = max((one for _, one in own), default=Response.NONE)
-    return min((t for t, one in own if one == severest), default=0.0) + deadline(severest, brake_s)
+    since = min((t for t, one in own if one == severest), default=0.0)
+    return since + deadline(severest, flight.jet_period_s, flight.ending.brake_s)
 
 
 def _named(row: str, what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:
@@ -231,7 +232,7 @@ def drawn(kind: str, name: str, rng: np.random.Generator) -> Drilled:
     """Fly a random case of this row of the catalogue in this experiment."""
     begun = with_random_starts(name, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
-    what = draw(kind, list(begun.vehicles), jets, rng)
+    what = draw(kind, list(begun.vehicles), jets, begun.flight.jet_period_s, rng)
     duration = (what.at_s or 0.0) + CATALOGUE[kind].flown_s
     experiment = replace(begun, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
     return replace(fly_case(experiment, what, kind), again=command(experiment, name, what))

@@ -20,12 +20,12 @@ from testbed.core.fault_injection import OF_FRAME, Injection
 from testbed.faults.catalogue import CATALOGUE, SOON
 from testbed.faults.drill import (
     ADRIFT,
-    DEAD_WITHIN,
     OTHERS,
     Drilled,
     answered,
     called,
     cases_of,
+    dead_within,
     deadline,
     draw,
     names_of,
@@ -87,7 +87,8 @@ def case(number: int, seed: int, name: str = EXPERIMENT) -> Drilled:
     row = rows[number % len(rows)]
     begun = with_random_starts(name, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
-    what, at = draw(row, list(begun.vehicles), jets, rng), round(float(rng.uniform(*WHEN)), 3)
+    what = draw(row, list(begun.vehicles), jets, begun.flight.jet_period_s, rng)
+    at = round(float(rng.uniform(*WHEN)), 3)
     what = replace(what, at_s=at if what.at_s else 0.0)
     needed = CATALOGUE[row].flown_s
     lasts = LONGER.get(row, min(needed, LONGEST) if needed > SOON else LASTS)
@@ -154,7 +155,7 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
 
 def judge(what: Injection, experiment: Experiment, flown: Flown, row: str = "") -> Drilled:
     """Judge the outcome of an injection; `row` of the catalogue, if not its kind."""
-    names = list(experiment.vehicles)
+    names, flight = list(experiment.vehicles), experiment.flight
     began, report, listed = what.at_s or 0.0, flown.report, CATALOGUE[row or what.kind]
     wanted = (*listed.names, *listed.on_wires)
     right = [
@@ -180,9 +181,9 @@ def judge(what: Injection, experiment: Experiment, flown: Flown, row: str = "") 
             responses = [r for r, t in one.responses.items() if t >= began]
             severest = max(responses, default=Response.NONE)
             since = one.responses.get(severest, began)
-        limit = since + deadline(severest, experiment.flight.ending.brake_s)
+        limit = since + deadline(severest, flight.jet_period_s, flight.ending.brake_s)
         if is_mute and name == what.vehicle:
-            limit = began + DEAD_WITHIN
+            limit = began + dead_within(flight.jet_period_s)
         closed, open_after = _closing(report.edges[name], flown.epoch_ns, limit)
         shut, late = max(shut, closed), late + open_after
     offset = 1e-9 * ((report.released_ns or 0) - flown.epoch_ns)

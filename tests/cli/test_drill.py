@@ -257,15 +257,17 @@ def test_a_drill_of_an_experiment_flies_it_on_the_bench_too(testbed, monkeypatch
     assert "cut_serial" in result.stdout
 
 
+@pytest.mark.parametrize("period", [0.02, 0.1, 1.0])
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_whatever_is_drawn_can_be_injected(name):
+def test_whatever_is_drawn_can_be_injected(name, period):
     case, rng, experiment = CATALOGUE[name], np.random.default_rng(0), load(find("zhang2023_table"))
     for _ in range(20):
-        what = draw(name, list(experiment.vehicles), 8, rng)
+        what = draw(name, list(experiment.vehicles), 8, period, rng)
         assert what.kind == case.kind
         assert what.at_s == 0.0 if case.at_start else WHEN[0] <= what.at_s <= WHEN[1]
         assert what.other != what.vehicle
-        assert case.range is None or case.range[0] <= what.size <= case.range[1]
+        size = what.size / (period if case.in_periods else 1.0)
+        assert case.range is None or case.range[0] - 1e-3 <= size <= case.range[1] + 1e-3
         assert list(bad_injections(replace(experiment, inject=[what]))) == []
 
 
@@ -287,7 +289,7 @@ def test_what_is_wrong_before_the_flight_does_not_arm(name, check):
 
 def test_a_check_that_does_not_name_the_fault_is_no_detection():
     rng, low = np.random.default_rng(1), [Check("battery", "sat1", "9.0 V")]
-    found = refused("no_air", "x", draw("no_air", ["sat1"], 8, rng), 0, low)
+    found = refused("no_air", "x", draw("no_air", ["sat1"], 8, 0.1, rng), 0, low)
     assert found.missed
     assert found.early == ("sat1 battery: 9.0 V",)
 
