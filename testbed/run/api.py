@@ -75,11 +75,13 @@ def fly(
             finished first.
     """
     check_experiment("testbed.fly", experiment)
-    return _fly(experiment, _maker(rig), log, progress)
+    return _fly(experiment, rig, _maker(rig), log, progress)
 
 
-def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: bool) -> Run:
-    check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
+def _fly(
+    experiment: Experiment, rig: str, make: Maker, log: str | Path | None, progress: bool
+) -> Run:
+    check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()}, rig)
     interrupt = Interrupt()
     with ExitStack() as stack:
         if log is None:
@@ -219,11 +221,11 @@ def fly_on(
     check_log(original, t)
     make = _maker("twin")
     if run.metrics.rig != "twin":
-        experiment, rig = replace(experiment, board="model"), resumed(original, t)
-        make = lambda folder: rig  # noqa: E731
+        experiment, on_wires = replace(experiment, board="model"), resumed(original, t)
+        make = lambda folder: on_wires  # noqa: E731
     out = None if log is None else path_of("fork, log", log, NEW)
     folder = new_folder(out, experiment.name, option=option)
-    flown = _fly(experiment, make, folder, progress)
+    flown = _fly(experiment, "twin", make, folder, progress)
     check_fork(original, folder, t, before, experiment)
     write_page(folder, experiment)
     return flown

@@ -134,6 +134,15 @@ def test_an_unknown_rig_and_a_run_without_a_log_are_refused(hold, run):
         testbed.replay(run)
 
 
+def test_a_bench_without_a_compiler_says_so_before_it_starts(hold, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr("firmware_interface.compiler.CACHE", tmp_path / "cache")
+    with pytest.raises(testbed.TestbedError, match="no C compiler found"):
+        testbed.fly(hold, rig="bench", log=tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_log_is_kept_read_and_replayed(hold, run, tmp_path):
     logged = testbed.fly(hold, log=tmp_path / "run")
     assert {p.name for p in (tmp_path / "run").iterdir()} >= {"log.mcap", "metrics.json"}
