@@ -2,7 +2,7 @@
 
 import pytest
 
-from testbed.rig.wired.stop_requests import AGAIN_NS, SHARED, Asked
+from testbed.rig.wired.stop_requests import AGAIN_NS, SHARED, Asked, StopCount
 
 
 def heard(*times):
@@ -59,3 +59,29 @@ def test_one_that_says_so_is_at_once():
     assert asked.times == 0
     asked.insist()
     assert asked.times == 2
+
+
+@pytest.mark.parametrize(("apart", "times"), [(0, 1), (AGAIN_NS, 1), (AGAIN_NS + 1, 2)])
+@pytest.mark.parametrize("first", ["at the terminal", "elsewhere"])
+def test_a_ctrl_c_and_a_stop_from_elsewhere_are_two_stops(first, apart, times):
+    now, own = [7], [0]
+    asked = Asked(lambda: now[0])
+    stops = StopCount(lambda: own[0], asked, lambda: now[0])
+
+    def press(where):
+        own[0] += where == "at the terminal"
+        if where == "elsewhere":
+            asked.hear(b"a")
+
+    assert stops() == 0
+    press(first)
+    assert stops() == 1
+    now[0] += apart
+    press({"at the terminal": "elsewhere", "elsewhere": "at the terminal"}[first])
+    assert [stops(), stops()] == [times, times]
+
+
+def test_two_ctrl_c_are_two_stops_without_any_other():
+    own, asked = [0], Asked(lambda: 0)
+    stops = StopCount(lambda: own[0], asked, lambda: 0)
+    assert [stops() for own[0] in (0, 1, 2)] == [0, 1, 2]

@@ -24,6 +24,7 @@ from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin, warm_up
 from testbed.rig.wired import stop_requests
 from testbed.rig.wired.host import WireRig
+from testbed.rig.wired.wired_flight import HostFlight
 
 AGENT = "testbed.rig.wired.agent_process"
 ROOT = Path(__file__).resolve().parents[2]
@@ -312,6 +313,29 @@ def test_the_second_ctrl_c_shuts_valves_and_air_without_a_brake():
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
     assert not any(tick.inputs.armed for tick in noted.after)
+    assert_nothing_is_left(met)
+
+
+def test_a_stop_after_a_ctrl_c_shuts_valves_and_air(monkeypatch):
+    asked, orders = stop_requests.Asked(), []
+    monkeypatch.setattr(stop_requests, "AGAIN_NS", -1)  # in the host: however soon
+    monkeypatch.setattr("testbed.rig.wired.host.Asked", lambda: asked)
+    ordered = HostFlight._stop_all
+
+    def stop_all(flight, reason, *, at_once=False):
+        orders.append(at_once)
+        ordered(flight, reason, at_once=at_once)
+
+    monkeypatch.setattr(HostFlight, "_stop_all", stop_all)
+
+    def ctrl_c_and_stop(rig):
+        if rig.now > 1.0:
+            asked.hear(b"a")
+        return int(rig.now > 1.0)
+
+    _, ending, _, met = fly("hold", "duration_s=30", stops=ctrl_c_and_stop)
+    assert ending.t < 20.0
+    assert orders[0]
     assert_nothing_is_left(met)
 
 

@@ -32,7 +32,7 @@ from testbed.rig.interface import holds
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.flood import FloodWatch
 from testbed.rig.wired.process_faults import ProcessFaults
-from testbed.rig.wired.stop_requests import Asked
+from testbed.rig.wired.stop_requests import Asked, StopCount
 from testbed.rig.wired.thrusters import WiredThrusters
 
 LOOK_NS = 10_000_000  # polling period while waiting
@@ -82,6 +82,7 @@ class VehicleFlight:
         self._arrived_ns: dict[int, int] = {}  # arrival of the newest pose, by plan number
         self.fault: FaultReport | None = None
         self.signals = Asked()  # Ctrl-C at this vehicle's terminal
+        self._stops = StopCount(lambda: self.signals.times, commands.asked)
         self.landed_at: float | None = None  # when its air was ordered off [s]
 
     def vehicle(self, name: str, tick: AnyTick) -> None:
@@ -191,7 +192,7 @@ class VehicleFlight:
             stop = FaultReport(FaultId.STOPPED, "stopped at the vehicle's own terminal")
             self.fault = self.fault or stop
         stopped = commands.stop_reason is not None or (lease is not None and not lease.may_fire)
-        return max(commands.asked.times, self.signals.times, int(stopped))
+        return max(self._stops(), int(stopped))
 
 
 class LeasedNode:

@@ -58,3 +58,36 @@ class Asked:
     def insist(self) -> None:
         """Count a stop that demands an immediate shutdown."""
         self.at_least(2)
+
+    @property
+    def first_ns(self) -> int | None:
+        """Time of the first stop [ns]; None: there was none."""
+        return self._first
+
+
+class StopCount:
+    """Counts stops at the own terminal and from elsewhere together, when it is called.
+
+    A Ctrl-C and a `testbed stop` are two stops, unless they come within AGAIN_NS.
+
+    Args:
+        terminal: number of stops at the own terminal.
+        asked: stops from elsewhere.
+        now: the monotonic clock [ns].
+    """
+
+    def __init__(
+        self, terminal: Callable[[], int], asked: Asked, now: Callable[[], int] = monotonic_ns
+    ) -> None:
+        self._terminal, self._asked, self._now = terminal, asked, now
+        self._first: int | None = None  # at the terminal
+
+    def __call__(self) -> int:
+        """Number of stops: 1 is brake and land, 2 is shut valves and air at once."""
+        own, others = self._terminal(), self._asked.times
+        if own and self._first is None:
+            self._first = self._now()
+        if self._first is not None and self._asked.first_ns is not None:
+            apart = abs(self._asked.first_ns - self._first)
+            return 2 if apart > AGAIN_NS else max(own, others)
+        return max(own, others)

@@ -42,7 +42,7 @@ from testbed.rig.wired.gains import RemoteLaw
 from testbed.rig.wired.pause import Pause
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
-from testbed.rig.wired.stop_requests import Asked
+from testbed.rig.wired.stop_requests import Asked, StopCount
 
 PRIORITY = 10  # below the vehicles, which drive the valves
 LEASE_S = 1.0  # lifetime of a lease: as long as the operator may be absent
@@ -218,6 +218,7 @@ class HostFlight:
             for name in names
         ]
         self._observer = observer
+        asked = StopCount(stopped, self._asked)
         nodes = list(self._nodes.values())
         ticking: Clock = clock
         with ExitStack() as stack:
@@ -228,13 +229,8 @@ class HostFlight:
                 )
             stack.enter_context(realtime_priority(PRIORITY))
             ending = fly(
-                ticking, nodes, hosts, period, experiment.ticks, self,
-                stopped=lambda: max(stopped(), self._asked.times),
-            )  # fmt: skip
-
-        def asked() -> int:
-            return max(stopped(), self._asked.times)
-
+                ticking, nodes, hosts, period, experiment.ticks, self, stopped=asked
+            )
         holding = holds(experiment, ending) and not asked()
         if holding:
             self._hold(asked)
