@@ -1,8 +1,9 @@
 """Valves driven by real firmware, which reports its output edges to the plant.
 
 The report arrives after the edge, so the plant must lag behind. Flow starts a valve's dead time
-after the edge, which is the allowed lag. An edge reported after the plant has passed it is still
-applied, and counted: the simulated flow then differs from the firmware's output.
+after the edge, which is the allowed lag. An edge reported after the plant has passed it is counted,
+and its pulse flows later, for as long as the firmware's output was on. Otherwise a busy computer
+would look like a weak jet.
 """
 
 import numpy as np
@@ -24,11 +25,14 @@ class ReportedValves:
         self.pulses = pulses
         self.mask = 0
         self.openings = 0
+        self._later = [0] * self._jets  # how much later the newest pulse flows [ns]
+        self._owed = [0] * self._jets  # how much too long the one before has flowed [ns]
         self.late = 0  # edges reported after the plant had passed their effect
 
     def edge(self, t: int, mask: int, plant_t: float) -> None:
         """Set the open valves to `mask` from `t` on; the plant is at `plant_t` [s]."""
-        if t + self._dead < nanoseconds(plant_t):
+        soonest = nanoseconds(plant_t) - self._dead
+        if t < soonest:
             self.late += 1
         changed, self.mask = mask ^ self.mask, mask
         for j in range(self._jets):
@@ -36,12 +40,15 @@ class ReportedValves:
                 continue
             up, down = self.pulses.up[j], self.pulses.down[j]
             if not mask >> j & 1:
-                down[-1] = max(t, int(up[-1]))
+                wanted = t + self._later[j]
+                down[-1] = max(wanted, soonest, int(up[-1]))
+                self._owed[j] = int(down[-1]) - wanted
                 continue
             strength = self.pulses.strength[j]
             for row in (up, down, strength):
                 row[:-1] = row[1:].copy()
-            up[-1], down[-1] = t, NOT_YET
+            self._later[j] = max(0, soonest - t)
+            up[-1], down[-1] = t + self._later[j] + self._owed[j], NOT_YET
             strength[-1] = 1.0 + self._spread * self._rng.standard_normal()
             self.openings += 1
 

@@ -53,6 +53,31 @@ def test_an_edge_is_late_when_the_plant_is_past_what_it_does(valves):
     assert valves.late == 1
 
 
+def flows(valves):
+    """How long the newest two pulses of jet 1 are open [ms]."""
+    return ((valves.pulses.down - valves.pulses.up)[0, -2:] / MS).tolist()
+
+
+def test_a_pulse_that_is_reported_late_flows_later_and_as_long(valves):
+    valves.edge(10 * MS, 1, 0.026)  # the plant has passed 20 ms of commands
+    assert valves.pulses.up[0, -1] == 20 * MS
+    valves.edge(25 * MS, 0, 0.026)
+    assert valves.pulses.down[0, -1] == 35 * MS
+    assert valves.late == 1
+
+
+def test_a_pulse_that_flowed_too_long_is_taken_from_the_next(valves):
+    valves.edge(10 * MS, 1, 0.0)
+    valves.edge(25 * MS, 0, 0.035)  # it has flowed until 29 ms of commands
+    assert valves.pulses.down[0, -1] == 29 * MS
+    valves.edge(110 * MS, 1, 0.1)
+    valves.edge(130 * MS, 0, 0.1)
+    assert flows(valves) == [19.0, 16.0]
+    valves.edge(210 * MS, 1, 0.2)
+    valves.edge(230 * MS, 0, 0.2)
+    assert flows(valves) == [16.0, 20.0]
+
+
 def test_the_plant_moves_as_with_the_modelled_board(experiment, make_plant):
     """The same pulses, planned for the modelled board and reported by a real one."""
     rng = np.random.default_rng(4)
