@@ -100,8 +100,8 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     armed = told.armed == 1
     if row.state.known == 1 and armed:
         compare(
-            p.jets_known, m.jet_faults, memory.heard, m.permanent, memory.permanent, row,
-            memory.flowed, m.thrust_scale,
+            p.jets_known, m.jet_faults, memory.heard, memory.fired, m.permanent, memory.permanent,
+            row, memory.flowed, m.thrust_scale,
         )  # fmt: skip
         if p.online.each_jet:
             online.follow_jets(memory.fired, memory.heard, m.jet_faults.probed, p.gains.period)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
-from testbed.flight import bad_jet, permanent
+from testbed.flight import bad_jet, innovations, permanent, reconfiguration
 from testbed.flight.hypotheses import DRAG, NUDGE, PULL, SURE, TURNED, certain
 from testbed.flight.jet_faults import look, note_pull, pause
 from testbed.flight.permanent import lateness, surest, wrong_scale
@@ -16,6 +16,7 @@ SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
 TRUSTED = 8  # most refused poses for evidence about valves
 SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
+SPOILT = 0.2  # of a jet period: the pulses of a tick that is later may have been cut or lost
 NEARLY = 5  # so many nearly equal poses in a row more than equal ones are a frozen pose
 MOVING = 0.01  # from this speed a delay shows as a step back [m/s]
 SHORTEST, LONGEST = 0.05, 2.0  # such a delay [s]
@@ -51,12 +52,16 @@ MEMORY = record(
 
 
 @pasted
-def compare(p, m, heard, always, window, row, duty, thrust_scale):
+def compare(p, m, heard, fired, always, window, row, duty, thrust_scale):
     """Compare the motion with the flow of the last plan; see `jet_faults.look`.
 
-    Poses that are old, refused or of another clock are no evidence about valves.
+    Poses that are old, refused or of another clock are no evidence about valves. After a late tick
+    the valves may have done something else than the plans say, and what was heard of their jets
+    since then is in all sums already.
     """
     state, before = row.state, m.look
+    if row.told.late_s > SPOILT * p.period / p.ticks:
+        distrust(p, m, heard, fired, always, window)
     ours = abs(row.told.clock_offset) < SAME_CLOCK
     if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
@@ -71,6 +76,14 @@ def compare(p, m, heard, always, window, row, duty, thrust_scale):
     else:
         pause(p, m, heard)
         forget(always)  # until the next second: one alone is not believed for longer
+
+
+@compiled
+def distrust(p, m, heard, fired, always, window):
+    """Let all that compares motion and plans begin anew; the arguments are those of `compare`."""
+    reconfiguration.restart(p, m, heard, fired)
+    innovations.pause(m.innovations)  # while a jet is probed, they have not begun anew
+    permanent.restart(always, window)
 
 
 @compiled

@@ -94,3 +94,14 @@ def test_rows_that_held_are_warnings_also_of_a_vehicle_that_died(findings, is_ov
         said = "a hose"
         findings.note_end("sat1", Ended(3.0, None, COUNTS, warned={"pulled": Warned(0.1, 9, said)}))
     assert findings.concerns() == [Concern("pulled", f"sat1: {said} (from 0.1 s)")]
+
+
+@pytest.mark.parametrize(("spoilt", "told"), [(1, False), (2, True)])
+def test_the_operator_is_told_of_a_computer_that_is_busy(findings, spoilt, told):
+    for k in range(100):
+        one = flown(k)
+        inputs = replace(one.tick.inputs, vitals=Vitals(late_s=0.03 if k < spoilt else 0.003))
+        findings.note_tick("sat1", replace(one, tick=Tick(inputs, one.tick.outputs)))
+    said = [concern.text for concern in findings.concerns() if concern.name == "late_plans"]
+    assert len(said) == told
+    assert all(text.startswith("sat1: 2 of 100 plans were sent late") for text in said)

@@ -34,6 +34,7 @@ from testbed.rig.wired.flood import FloodWatch
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked, StopCount
 from testbed.rig.wired.thrusters import WiredThrusters
+from testbed.rig.wired.valve_watch import ValveWatch
 
 LOOK_NS = 10_000_000  # polling period while waiting
 KEPT_S = 10.0
@@ -56,8 +57,10 @@ class VehicleFlight:
         process_faults: ProcessFaults,
         brakes: bool,
         frame: FrameWatch,
+        watch: ValveWatch,
     ) -> None:
         """With `brakes` the vehicle brakes in an emergency, and else lands."""
+        self._watch, self._edges, self._late_s = watch, list[tuple[float, int]](), 0.0
         self._link, self._foreign, self.brakes, self._frame = link, 0, brakes, frame
         self.process_faults, self.due = process_faults, 0.0
         self._impairment = NetworkImpairment(
@@ -103,17 +106,24 @@ class VehicleFlight:
         if self._poses.arrived_ns is not None:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
         clock = self._clock
-        edges = tuple(self._thrusters.edges())
+        self._watch.plan(out.command)
+        self._hear_edges()
+        edges, self._edges = tuple(self._edges), []
         flown = TickReport(
             self._k,
             tick,
-            self._pace(tick.inputs.vitals.late_s),
+            self._pace(self._late_s),
             edges,
             self._commands.operator_stops,
             self._commands.asked.marks,
         )
         self._k += 1
         self._publisher.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+
+    def _hear_edges(self) -> None:
+        new = self._thrusters.edges()
+        self._watch.hear(new)
+        self._edges += new
 
     def _arrived(self) -> dict[str, int]:
         return self._link.arrived | {"leases": self._lease_subscriber.arrived}
@@ -148,7 +158,9 @@ class VehicleFlight:
             self._lease.take(data, self._clock.of(at))
         self._frame.look(self._poses.reference_bodies())
         clock, lease = self._clock, self._lease.newest
-        late = max(0.0, clock.now - self.due)
+        self._late_s = max(0.0, clock.now - self.due)
+        self._hear_edges()
+        late = max(self._late_s, self._watch.late_s(clock.now))
         before, self._foreign = self._foreign, self._lease.foreign + self._link.foreign
         if lease is None:
             return Vitals(operator_age=max(0.0, clock.now), late_s=late)

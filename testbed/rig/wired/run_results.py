@@ -11,6 +11,7 @@ from testbed.config import Experiment
 from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
 from testbed.core.warned import Warned, noticed
+from testbed.flight.detectors import SPOILT
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.warnings import is_told
 from testbed.metrics.afterwards import After, Left
@@ -20,6 +21,12 @@ from testbed.net.envelope import Acceptance
 from testbed.realtime.wall_clock import WallClock
 from testbed.rig.firmware_boards import Valves
 from testbed.rig.wired.table_report import TableReport
+
+MANY = 0.01  # share of late ticks from which on the operator is told
+SLOW = (
+    "{} of {} plans were sent late or not played as planned: a computer is busy; after each,"
+    " bad jets are looked for anew"
+)
 
 
 class RunResults:
@@ -44,6 +51,7 @@ class RunResults:
         self._states: dict[str, list[tuple[float, list[float]]]] = {}
         self._fired_us: dict[str, int] = {}
         self._held: dict[str, dict[str, float]] = {}  # rows of the fault table, and since when [s]
+        self._ticks: dict[str, tuple[int, int]] = {}  # of the flight, and how many of them spoilt
 
     @property
     def epoch_ns(self) -> int | None:
@@ -89,6 +97,9 @@ class RunResults:
         self._new_valves += [(name, Valves(t, mask)) for t, mask in flown.edges]
         if flown.tick.inputs.vitals.end or flown.tick.inputs.t >= self.experiment.end_s:
             return
+        ticks, spoilt = self._ticks.get(name, (0, 0))
+        late = flown.tick.inputs.vitals.late_s > SPOILT * self.experiment.flight.jet_period_s
+        self._ticks[name] = ticks + 1, spoilt + late
         state = flown.tick.outputs.state
         if state is not None:
             row = [
@@ -188,6 +199,10 @@ class RunResults:
         return [
             *self.law_concerns, *(Concern("keys_expire", words) for words in self.key_warnings),
             *noticed({name: self._warned(name) for name in self.experiment.vehicles}),
+            *(
+                Concern("late_plans", f"{name}: {SLOW.format(spoilt, ticks)}")
+                for name, (ticks, spoilt) in self._ticks.items() if spoilt > MANY * ticks
+            ),
         ]  # fmt: skip
 
     def _warned(self, name: str) -> dict[str, Warned]:

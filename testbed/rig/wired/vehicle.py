@@ -58,6 +58,7 @@ from testbed.rig.wired.onboard import KEPT_S, LeasedNode, VehicleFlight, counted
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.thrusters import make_thrusters
+from testbed.rig.wired.valve_watch import ValveWatch
 
 PRIORITY = 20
 SENT_NS = 500_000_000  # time for the report to be sent
@@ -204,15 +205,17 @@ class VehicleProcess:
         for stranger in self.strangers:
             stranger.close()
         self.poses = MocapPoses(self.source, wires.mocap, clock, name)
+        model, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
         self.flight = VehicleFlight(
             party, thrusters, self.poses, self.commands, config_id(experiment), host_clock,
             self.link, self.process_faults, brakes_first(experiment, name),
             FrameWatch(wires.mocap.reference, experiment.table.mocap.noise),
+            ValveWatch(len(model.jets), model.command_delay_s, period),
         )  # fmt: skip
         if self.commands.stop_reason is None:
             thrusters.arm()
         self.commands.take_off(thrusters.land)
-        self.guard = CommandGuard(thrusters, lambda: clock.now, experiment.flight.jet_period_s)
+        self.guard = CommandGuard(thrusters, lambda: clock.now, period)
         node = VehicleNode(name, self.agent, self.poses, self.guard, self.link, self.flight.vitals)
         self.node = LeasedNode(node, self.flight, clock)
         if isinstance(self.agent, ForkedAgent):

@@ -228,9 +228,7 @@ class HostFlight:
                     self.live.flying(clock, hosts or far, hosts, supervisor, far=not hosts)
                 )
             stack.enter_context(realtime_priority(PRIORITY))
-            ending = fly(
-                ticking, nodes, hosts, period, experiment.ticks, self, stopped=asked
-            )
+            ending = fly(ticking, nodes, hosts, period, experiment.ticks, self, stopped=asked)
         holding = holds(experiment, ending) and not asked()
         if holding:
             self._hold(asked)
