@@ -5,8 +5,10 @@ Verbs that execute a user's law run under a supervisor process.
 
 import atexit
 import os
+import signal
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 SUPERVISED = ("run", "check")
@@ -38,14 +40,31 @@ def _run() -> None:
         result = supervised()
         if result is not None:
             sys.exit(result)
-    from testbed.cli.main import entry as every_verb
-
+    with interruptible():
+        from testbed.cli.main import entry as every_verb
     try:
         every_verb()
     except SystemExit as end:
         if sys.argv[1:2] and sys.argv[1] in SUPERVISED:
             _leave(end.code if isinstance(end.code, int) else 0)
         raise
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """While open, a Ctrl-C ends the process at once; for imports.
+
+    Python drops a KeyboardInterrupt that is raised in a callback of the import system, prints it,
+    and goes on.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(INTERRUPTED))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _leave(code: int) -> NoReturn:

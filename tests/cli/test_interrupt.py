@@ -164,6 +164,33 @@ def test_while_modules_are_imported(start, here, verb):
     assert list(here.iterdir()) == []
 
 
+IN_AN_IMPORT = """\
+import signal
+import sys
+import weakref
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "testbed.cli.main":
+            one = Finder()
+            kept = weakref.ref(one, lambda _: signal.raise_signal(signal.SIGINT))
+            del one
+
+sys.meta_path.insert(0, Finder())
+sys.argv = ["testbed", "list"]
+from testbed.cli.start import entry
+entry()
+"""
+
+
+def test_in_a_callback_of_an_import():
+    """Python drops an exception there, so the verb would go on."""
+    done = subprocess.run(
+        [sys.executable, "-c", IN_AN_IMPORT], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_after_a_run_a_signal_does_not_kill_its_process(stray):
     """Its files are there, and its exit code has to be reported."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
