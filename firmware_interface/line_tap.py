@@ -162,6 +162,11 @@ class LineTap:
         return self._process.pid
 
     @property
+    def dead(self) -> bool:
+        """Whether the firmware's process has ended, as a board without power."""
+        return self._process.poll() is not None
+
+    @property
     def bearing(self) -> bool:
         """Whether bearing air was on at the board's last STATUS."""
         return self._reports.bearing
@@ -178,8 +183,8 @@ class LineTap:
             os.read(self._process.stdout.fileno(), CHUNK)  # discard its answers
 
     def power(self, *, on: bool) -> None:
-        """Switch the board's power; no effect on QEMU."""
-        if self._chip:
+        """Switch the board's power; no effect on QEMU, or if the process has ended."""
+        if self._chip or self.dead:
             return
         assert self._process.stdin is not None
         os.set_blocking(self._process.stdin.fileno(), True)

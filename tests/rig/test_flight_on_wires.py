@@ -306,6 +306,22 @@ def test_the_board_of_a_killed_process_lands_the_vehicle():
     assert_nothing_is_left(met)
 
 
+def test_a_board_whose_process_is_killed_has_no_power():
+    """Its valves are shut, the bearing valve, too: nothing drifts."""
+
+    def kill_soon(rig):
+        boards = psutil.Process(rig.children["twin"]).children()
+        board = next(one for one in boards if "fd:" in one.cmdline()[-1])
+        threading.Timer(3.0, board.kill).start()
+
+    rig, ending, _, met = fly("hold", "duration_s=30", when_started=kill_soon)
+    assert ending.fault.id == "board_silent"
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
+    assert after.at_rest_s is not None
+    assert_nothing_is_left(met)
+
+
 def test_the_second_ctrl_c_shuts_valves_and_air_without_a_brake():
     rig, ending, noted, met = fly("hold", "duration_s=30", stops=lambda rig: 2 * (rig.now > 1.5))
     assert ending.fault is None

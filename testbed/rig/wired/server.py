@@ -300,7 +300,7 @@ class TableServer:
                 self._cut[name] = tap
             elif self._cut.pop(name, None):
                 tap.cut = False
-            dead = injector.found(name, "brown_out") is not None
+            dead = tap.dead or injector.found(name, "brown_out") is not None
             if dead != (name in self._down):
                 self._power(name, tap, off=dead)
 
