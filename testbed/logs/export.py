@@ -2,9 +2,11 @@
 
 Units are SI and radians, times are seconds of the run, unless a name has another unit (`on_us`).
 Nested fields are joined with dots (`outputs.state.pose.x`); sequences become `samples[0].x`,
-`samples[1].x`, ..., beyond the valid elements nan. Standard messages repeat what rows have and are
-left out. `bag` is a folder for `ros2 bag`, which has all messages: a copy of the log. A log that is
-damaged or has no end gives a new file with what is intact: other programs read no damaged one.
+`samples[1].x`, .... A row with fewer elements has NaN in the columns of the others, so these are
+columns of float64, whole numbers (`pulses[0].on_us`) too. Standard messages repeat what rows have
+and are left out. `bag` is a folder for `ros2 bag`, which has all messages: a copy of the log. A log
+that is damaged or has no end gives a new file with what is intact: other programs read no damaged
+one.
 """
 
 import csv
@@ -78,7 +80,7 @@ def _columns(path: str, rows: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]
             one = values[:, k]
             parts = _columns(f"{inner}[{k}]", one) if one.dtype.names else [(f"{inner}[{k}]", one)]
             for place, column in parts:
-                if column.dtype.kind == "f" and valid is not None:
+                if valid is not None:  # whole numbers are uint32 at most: exact as float64
                     column = np.where(valid > k, column, np.nan)
                 yield place, column
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from testbed.core.codes import FaultReport, InhibitReason, Refusal
 from testbed.core.types import (
@@ -66,6 +67,7 @@ def test_columns(path):
         table["samples[1].x"], [0.01 if k % 3 == 2 else np.nan for k in range(10)]
     )
     assert "samples[2].x" not in table
+    assert table["samples_valid"].tolist() == [k % 3 for k in range(10)]
     assert found["/truth"]["vehicles[0].twist.omega"].tolist() == [0.1 * k for k in range(10)]
     assert found["/sat1/event"]["text"].tolist() == [FAULT.words]
     assert found["/names"]["faults"].tolist()[-1] == "jet_3"
@@ -98,6 +100,41 @@ def test_the_same_numbers_come_back(tmp_path, path, kind):
     np.testing.assert_array_equal(np.array(got, dtype=float), wanted)
     with pytest.raises(FileExistsError):
         WRITERS[kind](found, tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["csv", "mat", "npz", "parquet"])
+def test_elements_that_a_row_does_not_have_are_nan_in_every_format(tmp_path, kind):
+    if kind == "parquet":
+        pytest.importorskip("pyarrow")
+    log = tmp_path / "log.mcap"
+    with Recorder(log, epoch_ns=10**18) as recorder:
+        for k in range(3):
+            one = tick(k)
+            pulses = ((), (5,), (5, 6))[k]
+            command = ValveCommand(k, 0.1 * k, 0.1 * k + 0.1, pulses, (0,) * k)
+            recorder.write(
+                "/a/tick", 0.1 * k, replace(one, outputs=replace(one.outputs, command=command))
+            )
+    written = {one.stem: one for one in WRITERS[kind](tables(LogReader(log)), tmp_path)}
+    wanted = {"pulses[0].on_us": [np.nan, 5, 5], "pulses[1].on_us": [np.nan, np.nan, 6]}
+    for name, values in wanted.items():
+        match kind:
+            case "csv":
+                with written["a_tick"].open() as file:
+                    got = [float(row[name]) for row in csv.DictReader(file)]
+            case "npz":
+                with np.load(written["log"]) as arrays:
+                    got = arrays[f"a/tick/{name}"]
+            case "mat":
+                from scipy.io import loadmat
+
+                tree = loadmat(written["log"], simplify_cells=True)["a"]["tick"]
+                got = tree[f"pulses_{int(name[7]) + 1}"]["on_us"]
+            case _:
+                from pyarrow import parquet
+
+                got = parquet.read_table(written["a_tick"]).column(name).to_numpy()
+        np.testing.assert_array_equal(got, values)
 
 
 def test_a_bag_is_read_by_rosbags(tmp_path, path):
