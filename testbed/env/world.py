@@ -27,6 +27,7 @@ FAILED = -10.0  # reward of a contact, of leaving the fence, or of a fault
 HEADING, GAS = 0.2, 0.05  # weights of the reward: [m/rad], and [m] for all jets open
 SETTLING = 20  # ticks at most until the estimator knows where every vehicle is
 TRIES = 1000  # to place vehicles at random
+OF_EPISODE = {"_twin", "_spin", "_turns", "_last"}  # of a world: a copy makes its own
 ROOM = 0.2  # between things placed at random [m]
 
 
@@ -63,6 +64,10 @@ class World:
         flown = replace(self.experiment, seed=int(rng.integers(2**31)))
         if self._anywhere:
             flown = replace(flown, vehicles=_placed(flown, rng))
+        self._begin(flown)
+
+    def _begin(self, flown: Experiment) -> None:
+        self._flown, self._done = flown, list[dict[str, Action]]()
         self.setups, self._twin, self.ticks = flown.vehicles, Twin(flown), 0
         self._spin = dict.fromkeys(self.setups, 0.0)
         self._turns: dict[str, Turn | TurnAlong] = {}
@@ -87,11 +92,28 @@ class World:
             raise TestbedError(where="step", expected="a `reset` before it", found="none")
         if not isinstance(actions, Mapping) or actions.keys() != self.setups.keys():
             raise wrong("step", f"an action for each of {', '.join(self.setups)}", actions)
-        self._fly({
+        self._obey({
             name: checked(self._action, actions[name], setup.model, name)
             for name, setup in self.setups.items()
         })  # fmt: skip
+
+    def _obey(self, actions: dict[str, Action]) -> None:
+        self._fly(actions)
+        self._done.append(actions)
         self.ticks += 1
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For `copy` and `pickle`: the episode's experiment and actions, not the twin's memory."""
+        return {name: value for name, value in vars(self).items() if name not in OF_EPISODE}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Fly the episode again, which gives the same state to the last bit."""
+        vars(self).update(kept)
+        if "_flown" in kept:
+            done = self._done
+            self._begin(self._flown)
+            for actions in done:
+                self._obey(actions)
 
     def _fly(self, actions: Mapping[str, Action]) -> None:
         twin, period, demands = self._twin, self._twin.period, {}

@@ -64,6 +64,19 @@ class Twin:
             for name in setups
         ]  # fmt: skip
 
+    def __getstate__(self) -> object:
+        """For `copy` and `pickle`, which cannot copy memory that compiled code writes to.
+
+        Raises:
+            TestbedError: always.
+        """
+        raise TestbedError(
+            where="testbed.Twin", expected="a twin that is neither copied nor pickled",
+            found=f"a copy at {self.t:g} s",
+            hint="make another testbed.Twin of the same experiment and repeat the steps: "
+            "it flies the same to the last bit",
+        )  # fmt: skip
+
     def step(self, forces: Mapping[str, Sequence[float]]) -> dict[str, Tick]:
         """Fly one jet period.
 

@@ -1,7 +1,9 @@
 """Environments for learning: the checkers of Gymnasium and PettingZoo, and what an episode is."""
 
+import copy
 import math
 import os
+import pickle
 import subprocess
 import sys
 import warnings
@@ -68,6 +70,43 @@ def test_a_seed_gives_the_same_episode_and_another_seed_another():
     one, again, other = (flown(env, [0.3] * 8, 20, seed)[0] for seed in (5, 5, 6))
     assert np.array_equal(one, again)
     assert not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("action", KINDS)
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_is_at_the_same_point_of_the_episode_and_flies_on_alone(action, copied):
+    env = TableEnv(step(), action, "pose", anywhere=True)
+    rng = np.random.default_rng(3)
+    size = env.action_space.shape
+    env.reset(seed=2)
+    for _ in range(4):
+        env.step(rng.uniform(0.0, 1.0, size))
+    other, actions = copied(env), rng.uniform(0.0, 1.0, (6, *size))
+    one, another = ([each.step(one) for one in actions] for each in (env, other))
+    for (seen, reward, *_, told), (seen_too, reward_too, *_, told_too) in zip(
+        one, another, strict=True
+    ):
+        assert seen.tolist() == seen_too.tolist()
+        assert (reward, told) == (reward_too, told_too)
+    one, another = env.reset(), other.reset()  # the next episodes are the same, too
+    assert one[0].tolist() == another[0].tolist()
+
+
+def test_a_fleet_and_what_had_no_reset_can_be_copied_too():
+    fleet = FleetEnv(testbed.load("zhang2023_table", "duration_s=3"))
+    new = copy.deepcopy(fleet)
+    fleet.reset(seed=1)
+    still = {name: np.zeros(2) for name in fleet.agents}
+    fleet.step(still)
+    mine, copied = (one.step(still)[0] for one in (fleet, copy.deepcopy(fleet)))
+    assert {k: v.tolist() for k, v in mine.items()} == {k: v.tolist() for k, v in copied.items()}
+    assert new.reset(seed=1)[0].keys() == set(fleet.possible_agents)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_twin_is_not_copied_and_says_what_to_do(copied):
+    with pytest.raises(testbed.TestbedError, match=r"make another testbed\.Twin of the same"):
+        copied(testbed.Twin(step()))
 
 
 def test_without_a_seed_episodes_go_on_from_the_first():
