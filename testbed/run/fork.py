@@ -187,7 +187,7 @@ def check_fork(
         )  # fmt: skip
     place = os.path.relpath(original.parent.resolve(), folder.resolve())
     whole = changes_of_whole(before, after, (*OF_THE_WHOLE, "inject"))
-    note = Origin(place, t, _began(original), whole)
+    note = Origin(place, t, _began(original), whole, original.name)
     write_atomic(folder / NOTE, msgspec.json.encode(note) + b"\n")
 
 

@@ -23,6 +23,7 @@ class Origin(Struct, frozen=True):
     t: float  # [s]
     epoch_ns: int | None = None  # UTC at time 0 of the original; null: not known
     whole: list[str] = []  # changes that count for the whole run, with both values
+    log: str = "log.mcap"  # name of the original's log
 
 
 def read_origin(folder: Path) -> Origin | None:
@@ -34,20 +35,31 @@ def read_origin(folder: Path) -> Origin | None:
 
 
 def drawn_original(folder: Path, note: Origin, fork: History) -> tuple[Original | None, list[str]]:
-    """The original, if its folder still holds it, else a line that says why it is not drawn."""
+    """The original, if its folder still holds it, else a line that says why it is not drawn.
+
+    A log that was renamed since the fork is found by its ticks.
+    """
     run = folder / note.run
-    where = f"the original of this fork is not drawn: {note.run}"
-    if not (run / "log.mcap").is_file():
-        return None, [f"{where} has no log"]
+    logs = [run / note.log] if (run / note.log).is_file() else sorted(run.glob("*.mcap"))
+    why = "has no log"
+    for log in logs:
+        found, why = _drawn(log, note, fork)
+        if found is not None:
+            return found, []
+    return None, [f"the original of this fork is not drawn: {note.run} {why}"]
+
+
+def _drawn(log: Path, note: Origin, fork: History) -> tuple[Original | None, str]:
+    """The original, if a log is of it, else why not."""
     try:
-        book = LogReader(run / "log.mcap")
+        book = LogReader(log)
         history = gather(book)
     except (TestbedError, OSError) as error:
-        return None, [f"{where} has a log that cannot be read ({str(error).splitlines()[0]})"]
+        return None, f"has a log that cannot be read ({str(error).splitlines()[0]})"
     other_flight = note.epoch_ns is not None and abs(book.epoch - note.epoch_ns) > SAME_NS
     if other_flight or not same_until(note.t, history, fork):
-        return None, [f"{where} is another run, or its log is damaged"]
-    return Original(run.resolve().name, note.t, history), []
+        return None, "is another run, or its log is damaged"
+    return Original(log.parent.resolve().name, note.t, history), ""
 
 
 def same_until(t: float, original: History, fork: History) -> bool:

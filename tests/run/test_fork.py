@@ -226,6 +226,20 @@ def test_an_original_that_is_gone_or_damaged_is_not_drawn(moved):
     assert (dotted, line) == (False, "the original of this fork is not drawn: ../a has no log")
 
 
+@pytest.mark.parametrize("when", ["before the fork", "after it"])
+def test_an_original_with_a_log_of_another_name_is_drawn(run, tmp_path, when):
+    shutil.copytree(run.folder, tmp_path / "a")
+    log = tmp_path / "a" / "log.mcap"
+    if when == "before the fork":
+        log = log.rename(log.with_name("monday.mcap"))
+        (tmp_path / "a" / "log.mcap").write_bytes(b"no log")
+    testbed.open_run(log).fork(4.0, seed=9, log=tmp_path / "b")
+    if when == "after it":
+        log.rename(log.with_name("monday.mcap"))
+        log.with_name("another.mcap").write_bytes(b"no log")
+    assert drawn(tmp_path / "b") == (True, [])
+
+
 @pytest.mark.parametrize("is_old", [False, True])
 @pytest.mark.parametrize(("name", "seed"), [("hold", 4), ("hold", 3), ("xue2021_table_static", 3)])
 def test_another_run_in_the_original_s_place_is_not_drawn(moved, name, seed, is_old):
