@@ -11,7 +11,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from testbed.core import plugin
-from testbed.core.error import MismatchError
+from testbed.core.error import MismatchError, TestbedError
 
 LONGEST = 500  # message of a law's error [characters]; it goes into the log and over the network
 _IMPORTED: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # digests, when first asked for
@@ -23,6 +23,22 @@ class UnusableLawError(MismatchError):
     def __init__(self, key: str, expected: str, found: str) -> None:
         super().__init__(expected, found)
         self.key = key
+
+
+class LawError(TestbedError):
+    """A law failed when it was called; the message, one line, names the line in its file.
+
+    Args:
+        where: place in the law's file, or the whole message.
+        expected: what the law should return.
+        found: what it returned.
+        hint: what to do.
+    """
+
+    def __init__(self, where: str, expected: str = "", found: str = "", hint: str = "") -> None:
+        said = f": expected {expected}, found {found}; {hint}" if expected else ""
+        super().__init__(f"{where}{said}")  # in one line, for the fault of a flight
+        self.where, self.expected, self.found, self.hint = where, expected, found, hint
 
 
 class LawStoppedError(BaseException):

@@ -36,10 +36,10 @@ import numpy as np
 from msgspec import Struct, field
 
 from controllers.law_file import UnusableLawError, blame, maker, source_of
-from controllers.plain_law import LawError, PlainLaw, Watched
+from controllers.plain_law import PlainLaw, Watched
 from controllers.scale import Scale
 from testbed.core import plugin
-from testbed.core.law import Body, Discs, Goal, Law, Neighbours, World
+from testbed.core.law import Body, Discs, Goal, Neighbours, World
 
 
 class OwnLawParams(Struct, frozen=True, forbid_unknown_fields=True, tag="python"):
@@ -69,7 +69,7 @@ def parameter_type(made: Callable[..., Any]) -> type[Struct]:
         raise UnusableLawError("law", f"a law with {error.expected}", error.found) from error
 
 
-def own_law(params: OwnLawParams, names: Sequence[str], d: int, *, limited: bool = True) -> Law:
+def own_law(params: OwnLawParams, names: Sequence[str], d: int, *, limited: bool = True) -> Watched:
     """The law for positions of shape (d,); `limited`: the force of a law in plain Python is.
 
     Raises:
@@ -83,7 +83,7 @@ def own_law(params: OwnLawParams, names: Sequence[str], d: int, *, limited: bool
 def law_of(
     made: Callable[..., Any], parameters: dict[str, Any], names: Sequence[str], d: int,
     path: Path | None = None, *, limited: bool = True,
-) -> Law:  # fmt: skip
+) -> Watched:  # fmt: skip
     """The law that a class or function returns; `path` of its file is for messages.
 
     Raises:
@@ -103,8 +103,8 @@ def law_of(
     return Watched(law if whole else PlainLaw(law, path, limited=limited), path)
 
 
-def try_out(law: Law, satellites: int, d: int = 2) -> None:
-    """Evaluate a law once, so that errors show before a flight and not in it.
+def try_out(law: Watched, satellites: int, d: int = 2) -> None:
+    """Call each function of a law once, so that errors show before a flight and not in it.
 
     Raises:
         LawError: the law fails.
@@ -127,6 +127,4 @@ def try_out(law: Law, satellites: int, d: int = 2) -> None:
         np.zeros(n),
     )
     world = World(goal, Discs(somewhere(3.0, 1), np.zeros((1, d)), np.full(1, 0.5)))
-    force, _ = law.rate(law.initial(own, others, world), own, others, world, 0.0)
-    if not np.isfinite(force).all():
-        raise LawError(f"force is not finite, {force}, in a trial call before the flight")
+    law.try_out(own, others, world)

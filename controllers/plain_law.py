@@ -7,7 +7,8 @@ norm of its force is limited to `own.max_force`, as that of the shipped laws.
 import inspect
 import math
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,14 +16,28 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from controllers.answer import ahead_of, asked, numbers, pair
+from controllers.law_file import LawError as LawError
 from controllers.law_file import UnusableLawError, blame
-from testbed.core.error import TestbedError
-from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, concerns_of, fly_ahead
+from testbed.core.law import (
+    Ahead,
+    Body,
+    CompiledLaw,
+    Concern,
+    Law,
+    Neighbours,
+    World,
+    broadcast_of,
+    concerns_of,
+    fly_ahead,
+    jump_of,
+)
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
 ROUNDING = 1e-9  # a law that limits its own force may exceed the limit by this share
+TRIAL_S = 0.1  # of a trial of `propagate`
 VERBS = {
     "force": ("own", "neighbours", "world", "t"),
     "rate": ("law_state", "own", "neighbours", "world", "t"),
@@ -30,10 +45,6 @@ VERBS = {
     "jump": ("law_state", "own", "neighbours", "world", "t"),
     "broadcast": ("law_state", "own", "neighbours", "world", "t"),
 }
-
-
-class LawError(TestbedError):
-    """A law failed in flight; the message names the line in its file."""
 
 
 class PlainLaw:
@@ -60,6 +71,11 @@ class PlainLaw:
         if callable(self._broadcast):
             self.broadcast = self._told
         self.message_size = _message_size(law, path)
+        if self.message_size and not callable(self._broadcast):
+            expected = f"a method broadcast({', '.join(VERBS['broadcast'])}), which gives a message"
+            raise UnusableLawError("law", expected, f"message_size = {self.message_size} and none")
+        made = {verb: method for verb, method in has.items() if callable(method)}
+        self._asked = {verb: asked(verb, method, path) for verb, method in made.items()}
         self._step, self._limited = _step(law, path), limited
         self._given: tuple[Any, ...] = (None, None, None)  # of the newest call
         self._shown: tuple[Any, ...] = self._given  # the same, read-only
@@ -76,20 +92,22 @@ class PlainLaw:
         """See `Law`."""
         if self._initial is None:
             return np.zeros(0)
-        return np.array(self._initial(*self._show(own, neighbours, world)), dtype=float)
+        state = self._initial(*self._show(own, neighbours, world))
+        return numbers(state, None, self._asked["initial"]).copy()
 
     def _jumped(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> Array:
         """The law may change this state in place: it is a copy."""
         after = self._jump(law_state.copy(), *self._show(own, neighbours, world), t)
-        return np.asarray(after, dtype=float)
+        return numbers(after, law_state.shape, self._asked["jump"], t)
 
     def _told(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> Array:
         shown = self._show(own, neighbours, world)
-        return np.asarray(self._broadcast(read_only(law_state), *shown, t), dtype=float)
+        said = self._broadcast(read_only(law_state), *shown, t)
+        return numbers(said, (self.message_size,), self._asked["broadcast"], t)
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
@@ -97,17 +115,11 @@ class PlainLaw:
         """See `Law`."""
         shown = self._show(own, neighbours, world)
         if self._rate is None:
-            force, change = self._force(*shown, t), law_state
+            force = numbers(self._force(*shown, t), own.p.shape, self._asked["force"], t)
+            change = np.zeros(len(law_state))
         else:
-            force, change = self._rate(read_only(law_state), *shown, t)
-        if np.iscomplexobj(force) or np.iscomplexobj(change):
-            raise ValueError(f"expected real numbers, found {force} and {change}")
-        force, change = np.asarray(force, dtype=float), np.asarray(change, dtype=float)
-        if force.shape != own.p.shape or change.shape != law_state.shape:
-            raise ValueError(
-                f"expected a force of shape {own.p.shape} and a rate of shape {law_state.shape}, "
-                f"found {force.shape} and {change.shape}"
-            )
+            both = self._rate(read_only(law_state), *shown, t)
+            force, change = pair(both, own.p.shape, law_state.shape, self._asked["rate"], t)
         size = math.hypot(*force.tolist())
         if self._limited and own.max_force * (1.0 + ROUNDING) < size < math.inf:
             force = force * (own.max_force / size)
@@ -119,8 +131,8 @@ class PlainLaw:
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
         if self._step > 0.0:
-            asked = duration / max(self._step, duration / steps)
-            steps = max(1, math.ceil(asked - 1e-9))
+            times = duration / max(self._step, duration / steps)
+            steps = max(1, math.ceil(times - 1e-9))
         return propagate_plain(self, law_state, own, neighbours, world, t, duration, steps)
 
 
@@ -183,39 +195,72 @@ class Watched:
 
     def __init__(self, law: Law, path: Path | None) -> None:
         self._law, self._path = law, path
-        self.message_size = law.message_size
+        self.message_size = _message_size(law, path)
+        verbs = "initial", "rate", "propagate"
+        self._asked = {verb: asked(verb, getattr(law, verb, None), path) for verb in verbs}
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """See `concerns_of`."""
         return concerns_of(self._law, law_state)
 
-    def _watch(self, verb: str, *arguments: Any) -> Any:
+    def try_out(self, own: Body, neighbours: Neighbours, world: World) -> None:
+        """Call each of the law's functions once.
+
+        Raises:
+            LawError: one fails, or returns something else than it should.
+        """
+        state = self.initial(own, neighbours, world)
+        scene = own, neighbours, world, 0.0
+        self.rate(state, *scene)
+        if not isinstance(self._law, CompiledLaw):
+            self.propagate(state, *scene, TRIAL_S, 1)
+            return
+        # `propagate` would compile for ten seconds, and code with wrong shapes reads other memory
+        messages = self.message_size
+        for verb, function, n in (
+            ("jump", jump_of, len(state)), ("broadcast", broadcast_of, messages),
+        ):  # fmt: skip
+            with self._blamed():
+                said = function(self._law.gains, state, *scene)
+            numbers(said, (n,), asked(verb, None, self._path))
+
+    @contextmanager
+    def _blamed(self) -> Iterator[None]:
+        """While open, an error is the law's."""
         try:
-            return getattr(self._law, verb)(*arguments)
+            yield
         except KeyboardInterrupt as error:
             if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
                 raise  # the operator's: in flight a handler counts Ctrl-C
             raise LawError(blame(error, self._path)) from error
+        except LawError:
+            raise  # it names the place
         except BaseException as error:  # it is the user's code, and may call sys.exit
             raise LawError(blame(error, self._path)) from error
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
-        return self._watch("initial", own, neighbours, world)
+        with self._blamed():
+            state = self._law.initial(own, neighbours, world)
+        return numbers(state, None, self._asked["initial"])
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`."""
-        return self._watch("rate", law_state, own, neighbours, world, t)
+        with self._blamed():
+            both = self._law.rate(law_state, own, neighbours, world, t)
+        return pair(both, own.p.shape, law_state.shape, self._asked["rate"], t)
 
     def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        ahead = self._watch("propagate", law_state, own, neighbours, world, t, duration, steps)
-        if not np.isfinite(ahead.mean_force).all():
-            name = self._path.name if self._path else "the law"
-            raise LawError(f"{name}: force is not finite, {ahead.mean_force}, at {t:g} s")
-        return ahead
+        with self._blamed():
+            ahead = self._law.propagate(
+                law_state, own, neighbours, world, t, duration, steps
+            )  # fmt: skip
+        said = np.empty(self.message_size)
+        like = Ahead(law_state, own.p, own.v, own.p, said)
+        return ahead_of(ahead, like, self._asked["propagate"], t)

@@ -333,7 +333,7 @@ def check_corners(path: Path, campaign: Campaign) -> None:
             names |= dict.fromkeys(loads(campaign.base, texts).vehicles)
         except ConfigError as error:
             where = f"{path}, the run with {' '.join(texts)}"
-            raise ConfigError(where, error.key, error.expected, error.found) from None
+            raise ConfigError(where, error.key, error.expected, error.found, error.hint) from None
     for key, bounds in (("most", campaign.file.most), ("least", campaign.file.least)):
         check_vehicles(str(path), key, bounds, names)
 
@@ -375,7 +375,7 @@ def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
             raise ConfigError(str(path), "experiment", error.expected, error.found) from None
         if error.where.startswith("command line"):
             where = f"{path}, set{error.where.removeprefix('command line')}"
-            raise ConfigError(where, error.key, error.expected, error.found) from None
+            raise ConfigError(where, error.key, error.expected, error.found, error.hint) from None
         raise
 
 

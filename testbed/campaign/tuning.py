@@ -148,7 +148,9 @@ def load_tuning(path: Path) -> Tuning:
                 load(experiment_path(path, file.experiment), [*file.set, text])
             except ConfigError as error:
                 where = f"{path}, the choice {text}"
-                raise ConfigError(where, error.key, error.expected, error.found) from None
+                raise ConfigError(
+                    where, error.key, error.expected, error.found, error.hint
+                ) from None
     now = [_value(path, tree, gain) for gain in file.gain]
     return Tuning(file, tomli_w.dumps(tree), now)
 

@@ -15,14 +15,17 @@ class Violation(NamedTuple):
     key: Key
     expected: str
     found: str
+    hint: str = ""
 
 
 class ConfigError(TestbedError):
-    """An invalid input: where, what was expected and what was found."""
+    """An invalid input: where, what was expected, what was found, and what to do if known."""
 
-    def __init__(self, where: str, key: str, expected: str, found: str) -> None:
+    def __init__(
+        self, where: str, key: str, expected: str, found: str, hint: str = ""
+    ) -> None:  # fmt: skip
         lines = [cut(printable(where), 300)] + [f"  key       {key}"] * bool(key)
-        super().__init__("\n".join(lines), where=where, expected=expected, found=found)
+        super().__init__("\n".join(lines), where=where, expected=expected, found=found, hint=hint)
         self.key = key
 
 

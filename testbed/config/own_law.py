@@ -56,11 +56,14 @@ def _tried(params: OwnLawParams, names: list[str]) -> list[Violation]:
     try:
         msgspec.convert(params.parameters, kind)
     except msgspec.ValidationError:
-        key, expected, found = first_violation(params.parameters, kind)
+        key, expected, found, _ = first_violation(params.parameters, kind)
         return [Violation(("controller", "parameters", *key), expected, found)]
     try:
         try_out(own_law(params, names, 2), len(names))
     except LawError as error:
+        if error.expected:
+            found = f"{error.where}: {error.found}"
+            return [Violation(("controller", "law"), error.expected, found, error.hint)]
         return [Violation(("controller", "law"), "a law that says what to do", str(error))]
     return []
 

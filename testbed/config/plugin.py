@@ -37,5 +37,5 @@ def _plugin(
     try:
         msgspec.convert(wire.options, options)
     except msgspec.ValidationError:
-        at, expected, found = first_violation(wire.options, options)
+        at, expected, found, _ = first_violation(wire.options, options)
         yield Violation((*key, "options", *at), expected, found)

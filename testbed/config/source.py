@@ -33,14 +33,14 @@ class Source:
 
     def error(self, violation: Violation) -> ConfigError:
         """The violation as an error that names its file or override."""
-        key, expected, found = violation
+        key, expected, found, hint = violation
         above = (key[:n] for n in range(len(key), -1, -1))
         origin = next(self._origins[part] for part in above if part in self._origins)
         inside = [
             o.where for k, o in self._origins.items() if k[: len(key)] == key != k and not o.key
         ]
         where = " with ".join(dict.fromkeys([origin.where, *inside[-1:]]))
-        return ConfigError(where, spell(key[len(origin.key) :]), expected, found)
+        return ConfigError(where, spell(key[len(origin.key) :]), expected, found, hint)
 
     def override(self, text: str) -> None:
         """Apply "key=value".

@@ -118,11 +118,11 @@ def convert(tree: dict[str, object], kind: type, path: Path) -> Struct:
     Raises:
         ConfigError: it does not fit.
     """
-    for key, expected, found in bad_numbers(tree):
-        raise ConfigError(str(path), spell(key), expected, found)
+    for key, *said in bad_numbers(tree):
+        raise ConfigError(str(path), spell(key), *said)
     try:
         converted: Struct = msgspec.convert(tree, kind)
     except msgspec.ValidationError:
-        key, expected, found = first_violation(tree, kind)
+        key, expected, found, _ = first_violation(tree, kind)
         raise ConfigError(str(path), spell(key), expected, found) from None
     return converted

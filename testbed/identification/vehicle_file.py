@@ -24,8 +24,8 @@ def load_vehicle(name: str) -> Vehicle:
     """
     path = named_file(name, "vehicles", "a vehicle file")
     vehicle: Vehicle = convert(read_toml(path), Vehicle, path)  # type: ignore[assignment]
-    for key, expected, found in vehicle_violations(vehicle):
-        raise ConfigError(str(path), spell(key), expected, found)
+    for key, *said in vehicle_violations(vehicle):
+        raise ConfigError(str(path), spell(key), *said)
     return vehicle
 
 

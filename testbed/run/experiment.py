@@ -71,7 +71,7 @@ def told_by(where: str) -> Iterator[None]:
         told = re.sub(r"(^|(?<= with ))command line", lambda found: where, error.where)
         if told == error.where:
             raise
-        raise config.ConfigError(told, error.key, error.expected, error.found) from None
+        raise config.ConfigError(told, error.key, error.expected, error.found, error.hint) from None
 
 
 def texts_of(where: str, changes: Mapping[str, Any] | None, more: Mapping[str, Any]) -> list[str]:

@@ -101,7 +101,9 @@ SOON = "deploy.law_limit_s=0.4"
         ),
         (
             "return np.zeros(2) + 1j",
-            "my_law.py: ValueError: expected real numbers, found [0.+1.j 0.+1.j] and []",
+            "my_law.py:18, in force at 1.508 s: expected a force [N]: finite real numbers of shape "
+            "(2,), found array([0.+1.j, 0.+1.j]); take the real part, or look for the square root "
+            "of a negative number",
         ),
         ("raise KeyboardInterrupt", "my_law.py:20, in force: KeyboardInterrupt: "),
         (

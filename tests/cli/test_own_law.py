@@ -47,7 +47,7 @@ def refusal(result) -> tuple[str, str, str]:
     """Key, expected, found."""
     assert result.exit_code == 2, result.output
     assert result.stdout == ""
-    form = r"error: .*\n  key       (.*)\n  expected  (.*)\n  found     (.*)\n"
+    form = r"error: .*\n  key       (.*)\n  expected  (.*)\n  found     (.*)\n(?:  hint      .*\n)?"
     match = re.fullmatch(form, result.stderr)
     assert match, result.stderr
     return match[1], match[2], match[3]
@@ -179,6 +179,14 @@ def test_a_package_may_publish_laws(testbed, here, monkeypatch):
 NAMED = "my_law.py:Law"
 PARAMETERS = "class Law:\n    def __init__(self, gain: float, axes: tuple[int, int] = (0, 1)):\n"
 FORCE = "    def force(self, own, neighbours, world, t):\n"
+COMPILED_LAW = (
+    "from typing import NamedTuple\nimport numpy as np\n"
+    "from testbed.core.law import CompiledLaw, compiled_jump, compiled_rate, no_state\n"
+    "class Gains(NamedTuple):\n    k: float\n"
+    "@compiled_rate(Gains)\n"
+    "def rate(gains, law_state, own, neighbours, world, t):\n    return {says}\n"
+    "def Law():\n    return CompiledLaw(Gains(1.0), no_state, rate)\n"
+)
 BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expected, found)
     "no file": (None, NAMED, "{}", "law", "the path of a Python file and a name", "No such file"),
     "no colon": ("", "my_law.py", "{}", "law", "entry point", '"my_law.py"'),
@@ -227,7 +235,8 @@ BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expec
     ),
     "shape": (
         "class Law:\n" + FORCE + "        return 1.0\n", NAMED, "{}", "law",
-        "a law that says what to do", "expected a force of shape (2,)",
+        "a force [N]: finite real numbers of shape (2,)",
+        "my_law.py:2, in force at 0 s: shape (), 1.0",
     ),
     "exception": (
         "class Law:\n" + FORCE + "        return own.p / own.q\n", NAMED, "{}", "law",
@@ -263,14 +272,28 @@ BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expec
         "law", "a class, or a function that returns a law",
         "`force` takes own, neighbours, world, t like a law's own method",
     ),
+    "message size without a message": (
+        "class Law:\n    message_size = 2\n" + FORCE + "        return 0.0 * own.p\n", NAMED,
+        "{}", "law", "a method broadcast(law_state, own, ", "message_size = 2 and none",
+    ),
+    "compiled with a wrong shape": (
+        COMPILED_LAW.format(says="own.p[:1], np.zeros(0)"), NAMED, "{}", "law",
+        "a force [N]: finite real numbers of shape (2,)", "my_law.py, in rate at 0 s: shape (1,)",
+    ),
+    "compiled with a wrong rate": (
+        COMPILED_LAW.format(says="0.0 * own.p, np.zeros(3)"), NAMED, "{}", "law",
+        "the rate of the law's state: finite real numbers of shape (0,)",
+        "my_law.py, in rate at 0 s: shape (3,)",
+    ),
+    "compiled with a wrong jump": (
+        COMPILED_LAW.format(says="0.0 * own.p, np.zeros(0)")
+        + "@compiled_jump(Gains)\n"
+        "def jump(gains, law_state, own, neighbours, world, t):\n    return np.zeros(1)\n", NAMED,
+        "{}", "law", "the law's state after the jump: finite real numbers of shape (0,)",
+        "my_law.py, in jump: shape (1,)",
+    ),
     "compiled": (
-        "from typing import NamedTuple\nimport numpy as np\n"
-        "from testbed.core.law import CompiledLaw, compiled_rate, no_state\n"
-        "class Gains(NamedTuple):\n    k: float\n"
-        "@compiled_rate(Gains)\n"
-        "def rate(gains, law_state, own, neighbours, world, t):\n"
-        "    return gains.k * own.q, np.empty(0)\n"
-        "def Law():\n    return CompiledLaw(Gains(1.0), no_state, rate)\n",
+        COMPILED_LAW.format(says="gains.k * own.q, np.empty(0)"),
         NAMED, "{}", "law", "a law that says what to do", "my_law.py:8: TypingError: Unknown attr",
     ),
 }  # fmt: skip
@@ -306,7 +329,8 @@ def test_a_law_that_gives_nan_at_once_is_refused_before_a_flight(testbed, here):
     for verb in ("check", "run"):
         result = testbed(verb, "hold", 'controller={type="python", law="nan.py:Law"}')
         assert result.exit_code == 2
-        assert "force is not finite, [nan nan], in a trial call before the flight" in result.stderr
+        assert "nan.py:2, in force at 0 s: array([nan, nan])" in result.stderr
+        assert "hint      look for a division by zero" in result.stderr
 
 
 LATE = """
@@ -322,7 +346,8 @@ class Law:
     ("what", "reason"),
     [
         ("1.0 / 0.0", "my_law.py:5, in force: ZeroDivisionError: "),
-        ("return float('nan') * own.p", "my_law.py: force is not finite, "),
+        ("return float('nan') * own.p", "my_law.py:3, in force at 1.0"),
+        ("return None", "my_law.py:3, in force at 1.0"),
     ],
 )
 def test_a_law_that_fails_in_flight_ends_the_run_as_a_fault(testbed, here, what, reason):
@@ -349,7 +374,7 @@ def test_a_law_that_fails_is_replayed_to_the_last_bit_and_named_in_the_report(te
     assert found["first_difference"] is None
     page = Path("out/report.html").read_text()
     assert "Law <b>sick.py:Sick</b>" in page
-    assert "sick.py: force is not finite" in page
+    assert "sick.py:7, in force at 0.7" in page
 
 
 # The bound of its force

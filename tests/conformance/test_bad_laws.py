@@ -110,7 +110,7 @@ BAD = {  # law: (the check, what it says)
     KeepsOutside: ("two_laws_are_alike", "nothing outside it is kept"),
     TakesTheFirstNeighbour: ("finite_numbers", "IndexError"),
     DividesByTheDistance: ("finite_numbers", "nan"),
-    Whole: ("shapes", "message of propagate"),
+    Whole: ("shapes", "`message` of its `Ahead`"),
     NoForce: ("shapes", "NoForce with neither"),
 }
 

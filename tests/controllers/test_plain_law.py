@@ -1,14 +1,18 @@
 """A law in plain Python: what it gets is read-only, its force is limited, its step is a time."""
 
 import math
+import re
+from fractions import Fraction
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from controllers.law_file import UnusableLawError
-from controllers.plain_law import PlainLaw
-from testbed.core.law import Body, Discs, Goal, Neighbours, World, bounded
+from controllers.plain_law import PlainLaw, Watched
+from testbed.core.error import TestbedError
+from testbed.core.law import Ahead, Body, Discs, Goal, Neighbours, World, bounded
 
 ZERO = np.zeros(2)
 OWN = Body(np.array([1.0, 2.0]), ZERO.copy(), 12.0, ZERO.copy(), ZERO.copy(), 0.5)
@@ -91,11 +95,112 @@ def test_the_bits_of_a_law_that_limits_its_own_force_are_kept():
         assert force.tolist() == wanted.tolist()
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_force_that_is_no_number_stays_one_for_the_error(bad):
-    law = asked(lambda own, neighbours, world, t: np.array([bad, 0.0]))
-    force, _ = law.rate(np.zeros(0), OWN, OTHERS, WORLD, 0.0)
-    assert not np.isfinite(force).all()
+# What its functions return
+
+NO_NUMBERS = {  # what is returned instead of two numbers: part of the hint
+    "text": "instead of text",
+    "numbers as text": "instead of text",
+    "booleans": "instead of True and False",
+    "None": "end the function with `return`",
+    "None in a list": "return numbers",
+    "complex": "take the real part",
+    "NaN": "a division by zero",
+    "infinite": "a division by zero",
+    "a dictionary": "return numbers",
+    "ragged": "the same length",
+    "three": None,
+    "a column": None,
+    "one number": None,
+}
+RETURNED = {
+    "text": "left", "numbers as text": ["0.1", "0.2"], "booleans": np.array([True, False]),
+    "None": None, "None in a list": [None, 0.0], "complex": [1j, 0.0],
+    "NaN": np.array([0.0, math.nan]), "infinite": [math.inf, 0.0], "a dictionary": {"x": 1.0},
+    "ragged": [[1.0], [1.0, 2.0]], "three": np.zeros(3), "a column": np.zeros((2, 1)),
+    "one number": 0.5,
+}  # fmt: skip
+SAYS = {
+    "initial": "the law's state", "jump": "the law's state after the jump",
+    "broadcast": "a message", "force": "a force [N]", "rate": "the rate of the law's state",
+}  # fmt: skip
+
+
+def watched(**answers):
+    """A law with a state of two numbers and a message of two, and these answers instead."""
+    said = dict.fromkeys(("initial", "force", "rate", "jump", "broadcast"), np.zeros(2)) | answers
+    made = SimpleNamespace(
+        initial=lambda own, neighbours, world: said["initial"],
+        rate=lambda law_state, own, neighbours, world, t: (said["force"], said["rate"]),
+        jump=lambda law_state, own, neighbours, world, t: said["jump"],
+        broadcast=lambda law_state, own, neighbours, world, t: said["broadcast"],
+        message_size=2,
+    )
+    return Watched(PlainLaw(made, Path(__file__)), Path(__file__))
+
+
+@pytest.mark.parametrize("verb", ["force", "rate", "initial", "jump", "broadcast"])
+@pytest.mark.parametrize("bad", NO_NUMBERS)
+def test_what_is_no_array_of_numbers_is_an_error_that_names_the_function(verb, bad):
+    if verb == "initial" and bad == "three":
+        return  # a state may have any length
+    law = watched(**{verb: RETURNED[bad]})
+    with pytest.raises(TestbedError) as caught:
+        law.try_out(OWN, OTHERS, WORLD)
+    error = caught.value
+    function = "rate" if verb == "force" else verb
+    assert re.fullmatch(rf"test_plain_law.py:\d+, in {function}( at \S+ s)?", error.where)
+    shape = "(n,)" if verb == "initial" else "(2,)"
+    assert error.expected == f"{SAYS[verb]}: finite real numbers of shape {shape}"
+    told = " ".join(repr(RETURNED[bad]).split())
+    assert told in error.found
+    assert error.hint
+    assert (NO_NUMBERS[bad] or "") in error.hint
+    assert "\n" not in str(error)  # the fault of a flight is one line
+    assert str(error) == (
+        f"{error.where}: expected {error.expected}, found {error.found}; {error.hint}"
+    )
+
+
+@pytest.mark.parametrize("both", [None, np.zeros(2), (np.zeros(2),), 3.0])
+def test_a_rate_that_is_no_pair_is_refused(both):
+    made = SimpleNamespace(rate=lambda law_state, own, neighbours, world, t: both)
+    with pytest.raises(TestbedError, match=r"a force .N. and the rate of the law's state"):
+        Watched(PlainLaw(made, None), None).try_out(OWN, OTHERS, WORLD)
+
+
+@pytest.mark.parametrize(
+    "force", [[1, 0], (0.25, np.float32(0.5)), np.array([1, 2]), [Fraction(1, 2), 0]]
+)
+def test_numbers_of_any_kind_are_a_force(force):
+    law = asked(lambda own, neighbours, world, t: force, step_s=1.0)
+    found, _ = law.rate(np.zeros(0), OWN._replace(max_force=9.0), OTHERS, WORLD, 0.0)
+    assert found.tolist() == [float(one) for one in force]
+
+
+def test_the_state_of_a_law_with_a_force_changes_by_its_jumps_only():
+    made = SimpleNamespace(
+        initial=lambda own, neighbours, world: np.ones(1),
+        force=lambda own, neighbours, world, t: np.zeros(2),
+    )
+    law = PlainLaw(made, None)
+    ahead = law.propagate(np.ones(1), OWN, OTHERS, WORLD, 0.0, 1.0, 4)
+    assert ahead.law_state.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("part", Ahead._fields)
+def test_a_law_with_its_own_propagate_is_looked_at_too(part):
+    whole = Ahead(np.zeros(1), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(0))
+    made = SimpleNamespace(
+        message_size=0,
+        initial=lambda own, neighbours, world: np.zeros(1),
+        rate=lambda law_state, own, neighbours, world, t: (np.zeros(2), np.zeros(1)),
+        propagate=lambda *_: whole._replace(**{part: np.full(5, math.nan)}),
+    )
+    with pytest.raises(TestbedError, match=f"expected `{part}` of its `Ahead`"):
+        Watched(made, None).try_out(OWN, OTHERS, WORLD)
+    made.propagate = lambda *_: None
+    with pytest.raises(TestbedError, match=r"expected an `Ahead` of testbed.core.law, found None"):
+        Watched(made, None).try_out(OWN, OTHERS, WORLD)
 
 
 @pytest.mark.parametrize(
@@ -122,3 +227,8 @@ def test_a_step_that_is_no_time_is_refused(step):
 def test_a_message_of_no_size_is_refused(size):
     with pytest.raises(UnusableLawError, match="message_size: a whole number"):
         asked(lambda own, neighbours, world, t: own.p, message_size=size)
+
+
+def test_a_message_of_a_size_without_a_function_is_refused():
+    with pytest.raises(UnusableLawError, match="a method broadcast"):
+        asked(lambda own, neighbours, world, t: own.p, message_size=2)
