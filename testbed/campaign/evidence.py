@@ -16,6 +16,7 @@ from testbed.config import ConfigError, Experiment, load
 from testbed.logs.columns import Columns
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
 from testbed.metrics.run_metrics import Metrics, Track
+from testbed.run.recorded import MixedUpError, check_files
 
 NEEDED = ("config.toml", "log.mcap", "metrics.json")
 
@@ -58,6 +59,12 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
             raise ConfigError(
                 str(folder), "", f"a run folder with {', '.join(NEEDED)}", f"no {name}"
             )
+    try:
+        check_files(folder / "log.mcap")
+    except MixedUpError as error:
+        raise ConfigError(error.where, "", error.expected, error.found, error.hint) from None
+    except (LogError, *UNREADABLE):
+        pass  # `track_of` says why
     experiment = load(folder / "config.toml")
     try:
         metrics = msgspec.json.decode((folder / "metrics.json").read_bytes(), type=Metrics)

@@ -28,6 +28,7 @@ from testbed.dashboard.viewer import (
 )
 from testbed.logs.log_reader import LogError, log_of
 from testbed.realtime.processes import hung_up
+from testbed.run.recorded import check_files
 
 PERIOD_S = 0.2
 PATIENCE = 150  # periods until the viewer must accept connections
@@ -106,7 +107,8 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
         stop.set()
 
     try:
-        log_of(run)
+        if (log := log_of(run)).with_name("metrics.json").exists():  # the flight is over
+            check_files(log)
     except LogError as error:
         return refuse(error)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

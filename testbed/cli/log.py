@@ -13,6 +13,7 @@ from testbed.cli.screen import show
 from testbed.logs.export import WRITERS, ExportError, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
+from testbed.run.recorded import check_files
 from testbed.run.whole import lacks, metrics_of
 
 
@@ -54,6 +55,7 @@ def show_log(run: Path, as_json: bool) -> int:
 def export_run(run: Path, kind: str, out: Path | None) -> int:
     """Convert the log to another format."""
     try:
+        check_files(log_of(run))
         folder = out or log_of(run).parent / "export"
         folder.mkdir(parents=True, exist_ok=True)
         if kind == "rrd":

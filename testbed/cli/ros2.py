@@ -15,6 +15,7 @@ from testbed.logs.log_reader import LogReader, log_of
 from testbed.net.ros2 import Ros2Node
 from testbed.net.ros2_publisher import ROUTER, WAIT_S, publish
 from testbed.net.session import NoHostError, dial
+from testbed.run.recorded import check_files
 
 LAST_S = 2.0  # time for the last messages after a flight
 
@@ -23,6 +24,7 @@ def publish_run(run: Path, endpoint: str, domain: int, speed: float) -> int:
     """Publish a run from its beginning until its end or Ctrl-C."""
     try:
         log = LogReader(log_of(run))
+        check_files(log.path)
         with dial(endpoint, WAIT_S) as session:
             node = Ros2Node(session, domain)
             number = publish(log, node, monotonic, Event().wait, speed)

@@ -1,6 +1,8 @@
 """The flight in a run folder, from files that are of the same run."""
 
-from collections.abc import Callable, Iterable
+import tomllib
+from collections.abc import Callable, Collection, Iterable
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +13,7 @@ from testbed.metrics.run_metrics import Metrics
 from testbed.run.post_mortem import judged
 from testbed.run.whole import lacks, metrics_of
 
+FIRST_NS = 1_000_000_000  # of a log; each vehicle has a tick in it
 SAME_NS = 1_000_000  # two times of the beginning of one flight differ by less
 
 
@@ -44,17 +47,43 @@ def recorded(
     history = gather(book)
     said = lacks(book)
     warn(said)
-    _check_vehicles(log, history.vehicles, experiment)
+    _check_vehicles(log, history.vehicles, experiment.vehicles)
     if not history.vehicles and _has_flown(metrics_of(log.parent)):
         raise LogError(
             where=str(log), expected="the ticks of a flight",
             found="there are no ticks in the log", hint="; ".join(said),
         )  # fmt: skip
     metrics = judged(log.parent, log, experiment, history)
-    _check_vehicles(log.parent / "metrics.json", metrics.vehicles, experiment)
+    _check_vehicles(log.parent / "metrics.json", metrics.vehicles, experiment.vehicles)
     check_flight(book, metrics)
-    _check_experiment(log.parent / "config.toml", metrics, experiment)
+    _check_experiment(log.parent / "config.toml", metrics, (experiment.name, experiment.seed))
     return Recorded(history, metrics, said)
+
+
+def check_files(log: Path) -> None:
+    """Refuse a folder whose log, metrics.json and config.toml are not of the same run.
+
+    The log is read up to FIRST_NS, the configuration without the law's file. Files that are
+    missing, or cannot be read, are not judged: whoever needs them says so.
+
+    Raises:
+        LogError: the log cannot be read.
+        MixedUpError: they are of different runs.
+    """
+    book = LogReader(log)
+    rows = takewhile(lambda row: row[1] < FIRST_NS, book.read())
+    seen = [topic.split("/")[1] for topic, *_ in rows if topic.endswith("/tick")]
+    metrics, config = metrics_of(log.parent), log.parent / "config.toml"
+    check_flight(book, metrics)
+    try:
+        tree = tomllib.loads(config.read_text(encoding="utf-8"))
+        vehicles, flown = list(tree["vehicles"]), (tree["name"], tree["seed"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    _check_vehicles(log, dict.fromkeys(seen), vehicles)
+    if metrics is not None:
+        _check_vehicles(log.parent / "metrics.json", metrics.vehicles, vehicles)
+        _check_experiment(config, metrics, flown)
 
 
 def check_flight(book: LogReader, metrics: Metrics | None) -> None:
@@ -77,16 +106,16 @@ def check_flight(book: LogReader, metrics: Metrics | None) -> None:
         )  # fmt: skip
 
 
-def _check_vehicles(path: Path, found: Iterable[str], experiment: Experiment) -> None:
-    if strange := [name for name in found if name not in experiment.vehicles]:
+def _check_vehicles(path: Path, found: Iterable[str], vehicles: Collection[str]) -> None:
+    if strange := [name for name in found if name not in vehicles]:
         raise MixedUpError(
-            where=str(path), expected=f"vehicles of config.toml: {', '.join(experiment.vehicles)}",
+            where=str(path), expected=f"vehicles of config.toml: {', '.join(vehicles)}",
             found=", ".join(strange), hint="a file in this folder is of another run",
         )  # fmt: skip
 
 
-def _check_experiment(path: Path, metrics: Metrics, experiment: Experiment) -> None:
-    flown, found = (metrics.experiment, metrics.seed), (experiment.name, experiment.seed)
+def _check_experiment(path: Path, metrics: Metrics, found: tuple[str, int]) -> None:
+    flown = metrics.experiment, metrics.seed
     if flown != found:
         wanted, other = (f"{name}, seed {seed}" for name, seed in (flown, found))
         raise MixedUpError(

@@ -7,11 +7,15 @@ import pytest
 from click.testing import CliRunner
 
 import testbed
+from testbed.campaign.evidence import read_run as read_flown
 from testbed.cli.main import main
+from testbed.config import ConfigError
 from testbed.logs.log_reader import LogReader
 from testbed.run.film import make_film
-from testbed.run.recorded import MixedUpError
+from testbed.run.recorded import MixedUpError, check_files
 from testbed.run.whole import is_whole, lacks
+
+KINDS = "csv", "mat", "npz", "parquet", "bag", "rrd"
 
 
 def fly(name, folder, seed=3):
@@ -117,8 +121,12 @@ def test_a_file_of_another_seed_is_refused(copy, tmp_path, name):
     shutil.copy(fly("hold", tmp_path / "c", seed=4) / name, copy)
     with pytest.raises(MixedUpError, match="began at another time"):
         testbed.open_run(copy)
-    for words in (["report", copy], ["compare", copy, copy], ["replay", copy]):
-        assert call(*words).exit_code == 2
+    verbs = [["report", copy], ["compare", copy, copy], ["replay", copy], ["dash", copy, "--web"]]
+    for words in (*verbs, ["ros2", copy], *(["export", copy, "--to", kind] for kind in KINDS)):
+        result = call(*words)
+        assert (result.exit_code, "began at another time" in result.stderr) == (2, True), words
+    with pytest.raises(ConfigError, match="began at another time"):
+        read_flown(copy, 0, {}, {})
     with pytest.raises(MixedUpError):
         make_film(copy, copy / "a.gif", None, 300)
 
@@ -127,7 +135,18 @@ def test_a_configuration_of_another_seed_is_refused(copy, tmp_path):
     shutil.copy(fly("hold", tmp_path / "c", seed=4) / "config.toml", copy)
     with pytest.raises(MixedUpError, match=r"metrics\.json: hold, seed \d\n.*hold, seed 4"):
         testbed.open_run(copy)
-    assert call("report", copy).exit_code == 2
+    for words in (["report", copy], ["dash", copy], ["export", copy, "--to", "rrd"]):
+        assert call(*words).exit_code == 2
+        assert "expected  the experiment of metrics.json" in call(*words).stderr
+
+
+def test_a_log_of_other_vehicles_is_refused_without_metrics_too(copy, tmp_path):
+    shutil.copy(fly("xue2021_table_static", tmp_path / "c") / "log.mcap", copy)
+    (copy / "metrics.json").unlink()
+    with pytest.raises(MixedUpError, match=r"expected  vehicles of config\.toml: sat1"):
+        check_files(copy / "log.mcap")
+    (copy / "config.toml").unlink()
+    check_files(copy / "log.mcap")  # a log alone is not judged
 
 
 @pytest.mark.parametrize("name", ["log.mcap", "metrics.json"])
