@@ -2,11 +2,16 @@
 
 import re
 
+import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from testbed.config import SHIPPED, find, load
+from testbed.config.capability import pure
 from testbed.config.parts import doubtful_parts
 from testbed.config.plausibility import doubts_of
+from testbed.core.jets import effect_matrix
+from testbed.identification.vehicle_file import load_vehicle
 
 MODEL = "vehicles.sat1.model"
 SHIPPED_ONES = sorted(path.stem for path in (SHIPPED / "experiments").glob("*.toml"))
@@ -108,8 +113,27 @@ def test_a_forgotten_jet_is_missed_by_its_direction(testbed, tmp_path, lost):
     assert f"7 jets, 0.6 N {WAYS[lost]} but 1.2 N" in result.stderr
     assert f"is a jet {WAYS[lost]} missing?" in result.stderr
     assert (
-        "  sat1: 7 jets, 0.60 N per axis, 0.162 N m, 0.048 m/s^2, at least 21.3 s" in result.stdout
+        "  sat1: 7 jets, 0.60 N per axis, 0.108 N m, 0.048 m/s^2, at least 21.3 s" in result.stdout
     )
+
+
+@pytest.mark.parametrize("name", ["uky", "spot_black", "freeflyer"])
+def test_the_force_of_an_axis_needs_no_torque_and_the_torque_no_force(name):
+    """Against a linear program of scipy; uky's jets are not symmetric."""
+    vehicle = load_vehicle(name)
+    effect = effect_matrix(vehicle.jets, about=vehicle.com)
+    wanted = []
+    for axis in range(3):
+        rest = np.delete(effect, axis, axis=0)
+        both = [
+            -linprog(-sign * effect[axis], A_eq=rest, b_eq=[0.0, 0.0], bounds=(0.0, 1.0)).fun
+            for sign in (1.0, -1.0)
+        ]
+        wanted.append(min(both))
+    assert pure(vehicle) == pytest.approx(wanted, rel=1e-9)
+    all_helpful = np.minimum(effect.clip(min=0.0).sum(1), -effect.clip(max=0.0).sum(1))
+    less = any(a < 0.99 * b for a, b in zip(pure(vehicle), all_helpful, strict=True))
+    assert less == (name == "uky")
 
 
 @pytest.mark.parametrize(("listed", "said"), [(1, "jets 1 and 9 are"), (8, ", 8 and 16 are")])
@@ -172,7 +196,10 @@ def test_the_defaults_are_shown(testbed):
 
 def test_check_says_more_of_what_a_vehicle_can_do(testbed):
     said = testbed("check", "hold").stdout
-    assert "along x 1.2 N, along y 1.2 N; in the weakest direction 0.096 m/s^2" in said
+    assert (
+        "along x 1.2 N, along y 1.2 N, without a torque; in the weakest direction 0.096 m/s^2"
+        in said
+    )
     assert "turning 1.1 rad/s^2" in said
     assert "shortest pulse 10 ms: 6 mN s, 0.48 mm/s" in said  # 0.6 N for 10 ms, on 12.5 kg
     assert "about 1.5 g of 250 g gas to the goal" in said
