@@ -50,7 +50,8 @@ MEANING = (
     "second half of the run where the goal moves. Of a formation, RMS of the distances between "
     "partners less the wanted ones; none where there is neither. The worst vehicle of a run; "
     "median over the runs, and the worst of them.",
-    "**settled**: after that the error stays within 50 mm; median; none if a run did not settle.",
+    "**settled**: after that the position stays within 50 mm of the goal, at any heading; median; "
+    "none if a run did not settle.",
     "**obstacles**: smallest distance to an obstacle less its danger radius; negative is inside. "
     "**vehicles**: smallest distance between two, centre to centre.",
     "**contacts**: of all runs together. **gas**, **valve pulses**: all vehicles of a run, median.",

@@ -26,7 +26,7 @@ from testbed.metrics.characterisation import Characterisation
 
 Array = NDArray[np.float64]
 
-SETTLED_M = 0.05  # "settled" means an error that stays below this [m]
+SETTLED_M = 0.05  # "settled": the position's error stays below this, at any heading [m]
 KNOWN_JET = 0.2  # a jet's share of thrust is known if its sigma is at most this
 HOLD_S = 30.0  # the last part of a run, which counts as holding [s]
 ROUNDING_S = 1e-6  # times of a flight are sums of periods [s]
@@ -71,7 +71,7 @@ class VehicleMetrics(Struct, frozen=True):
     """One vehicle's flight; null where a number does not apply."""
 
     final_error_m: float | None
-    settle_s: float | None  # time after which the error stays within 0.05 m
+    settle_s: float | None  # time after which the position stays within 0.05 m of the goal
     track_rms_m: float | None  # true position against the reference; null in wrench mode
     hold_rms_m: float | None  # true position against the goal in the last 30 s
     heading_rms_deg: float | None  # true heading against the commanded one

@@ -11,7 +11,7 @@ from testbed.config.experiment import Experiment
 from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import has_formation
-from testbed.metrics.run_metrics import TO_THE_START, FormationMetrics, Metrics
+from testbed.metrics.run_metrics import SETTLED_M, TO_THE_START, FormationMetrics, Metrics
 from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened, lines
 from testbed.report.fault_story import EventLine
@@ -35,7 +35,7 @@ FIRST = ("trajectory", "error", "error_xy", "near")  # figures before the number
 
 ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("final error [mm]", "final_error_m", 1e3, 2, "final_error_m"),
-    ("settled after [s]", "settle_s", 1.0, 1, "settle_s"),
+    (f"settled to {1e3 * SETTLED_M:.0f} mm [s]", "settle_s", 1.0, 1, "settle_s"),
     ("tracking RMS [mm]", "track_rms_m", 1e3, 2, "track_rms_m"),
     ("hold RMS [mm]", "hold_rms_m", 1e3, 2, "hold_rms_m"),
     ("heading RMS [deg]", "heading_rms_deg", 1.0, 3, "heading_rms_deg"),

@@ -33,6 +33,7 @@ from testbed.metrics.run_metrics import (
     smallest_separation,
     vehicle_metrics,
 )
+from testbed.report.page import ROWS
 
 LIMITS = [
     name
@@ -188,6 +189,14 @@ def test_a_run_of_thirty_seconds_has_held_though_its_last_frame_is_before_its_en
 def test_holding_is_about_the_place_not_the_heading():
     t = np.linspace(0.0, 60.0, 601)
     assert judged(still(t, (1.0, 2.0)), goal=(1.0, 2.0, 1.5)).hold_rms_m == 0.0
+
+
+def test_settled_is_about_the_place_and_its_label_says_the_bound():
+    t = np.linspace(0.0, 40.0, 401)
+    metrics = judged(moving(t, lambda t: 0 * t, lambda t: 0 * t, theta=lambda t: 0.3 * t))
+    assert metrics.settle_s == 0.0
+    (label,) = [heading for heading, key, *_ in ROWS if key == "settle_s"]
+    assert label == f"settled to {1e3 * SETTLED_M:g} mm [s]"
 
 
 # Distances
