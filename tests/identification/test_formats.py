@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from mcap.writer import Writer
 from scipy.io import savemat
 
+from lab_mcap import write_mcap
 from testbed.cli.main import main
 from testbed.core.table import Table
 from testbed.identification.mapping import load_mapping
@@ -32,16 +32,8 @@ def as_mat(path, head, rows):
 
 
 def as_mcap(path, head, rows):
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("Row", "jsonschema", b"{}")
-        channel = writer.register_channel("/log", "json", schema)
-        for row in rows:
-            at = round(1e9 * row[0])
-            tree = {"log": dict(zip(head, map(float, row), strict=True))}
-            writer.add_message(channel, at, json.dumps(tree).encode(), at)
-        writer.finish()
+    cells = ({"log": dict(zip(head, map(float, row), strict=True))} for row in rows)
+    write_mcap(path, "/log", ((row["log"]["t_s"], row) for row in cells))
 
 
 @pytest.mark.parametrize(("suffix", "write"), [(".mat", as_mat), (".mcap", as_mcap)])
