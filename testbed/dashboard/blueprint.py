@@ -18,6 +18,7 @@ from testbed.report.goal_error import GoalError
 FIELD = 57.0  # [deg] vertical, of rerun's eye
 WINDOW_S = 60.0  # of the plots
 VALVES_S = 10.0
+MOST_ROWS = 4  # of the valves that their title names
 
 
 def blueprint(scenario: Experiment, *, live: bool) -> rrb.Blueprint:
@@ -119,7 +120,8 @@ def _window(seconds: float) -> list[rrb.VisibleTimeRange]:
 
 
 def _valve_rows(scenario: Experiment, seconds: float) -> rrb.TimeSeriesView:
-    first = ", ".join(f"{10 * k + 1}: {plain(n)} jet 1" for k, n in enumerate(scenario.vehicles, 1))
+    rows = [f"{10 * k + 1}: {plain(n)} jet 1" for k, n in enumerate(scenario.vehicles, 1)]
+    first = ", ".join(rows if len(rows) <= MOST_ROWS else [*rows[:2], "...", rows[-1]])
     top = 10.0 * (len(scenario.vehicles) + 1)
     return rrb.TimeSeriesView(
         origin="/plot/valve", name=f"Valves, a dot per pulse, {seconds:g} s; row {first}",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WIDTH = 600  # of a figure; it scales with the page
-HUES = 6
+HUES = 8  # of theme.css; the console and the dashboard have as many
 
 
 class Line(Struct, frozen=True):

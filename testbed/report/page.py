@@ -17,7 +17,7 @@ from testbed.report.events import happened, lines
 from testbed.report.fault_story import EventLine
 from testbed.report.figures import analogue, figures
 from testbed.report.fork_changes import fork_changes
-from testbed.report.item import Chart
+from testbed.report.item import HUES, Chart
 from testbed.report.jets import jets_table
 from testbed.report.law import law_of
 from testbed.report.original import Original, with_original
@@ -204,6 +204,11 @@ def _signed(text: str) -> str:
     return text.replace("-", "\N{MINUS SIGN}")
 
 
+def _dot(k: int) -> str:
+    """A dot in the colour of the k-th vehicle."""
+    return f'<span class="dot" style="background:var(--h{k % HUES})"></span>'
+
+
 def _pose(pose: tuple[float, float, float]) -> str:
     x, y, theta = pose
     return _signed(f"({x:.2f}, {y:.2f}) m, {math.degrees(theta):.0f}\N{DEGREE SIGN}")
@@ -226,7 +231,7 @@ def _flown(scenario: Experiment, changed: Sequence[str]) -> str:
     )
     has_goals = not has_formation(scenario.controller)
     rows = "".join(
-        f'<tr><td><span class="dot" style="background:var(--h{k % 6})"></span>{escape(name)}</td>'
+        f"<tr><td>{_dot(k)}{escape(name)}</td>"
         f"<td>{_pose(s.start)}</td>{f'<td>{_pose(s.goal)}</td>' * has_goals}"
         f"<td>{s.model.mass:g}</td>"
         f"<td>{s.model.radius:g}</td><td>{len(s.model.jets)} "
@@ -302,10 +307,7 @@ def _criteria(scenario: Experiment, metrics: Metrics) -> str:
 
 def _results(scenario: Experiment, metrics: Metrics) -> str:
     has_goals = not has_formation(scenario.controller)
-    names = "".join(
-        f'<th><span class="dot" style="background:var(--h{k % 6})"></span>{escape(name)}</th>'
-        for k, name in enumerate(metrics.vehicles)
-    )
+    names = "".join(f"<th>{_dot(k)}{escape(name)}</th>" for k, name in enumerate(metrics.vehicles))
     rows = []
     for heading, key, scale, digits, criterion in ROWS:
         if key in OF_A_GOAL and not has_goals:

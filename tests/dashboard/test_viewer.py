@@ -15,6 +15,7 @@ from threading import Event
 from types import ModuleType
 from typing import Any
 
+import msgspec
 import numpy as np
 import psutil
 import pytest
@@ -284,6 +285,34 @@ def test_a_formation_is_shown_with_its_leader_and_without_goals(tmp_path):
     found = {str(c.entity_path) for c in chunks}
     assert {"/world/goal/leader", "/plot/error/sat1", "/plot/error/sat3"} <= found
     assert "/world/goal/sat1" not in found
+
+
+def test_the_legend_of_eight_vehicles_is_not_cut_and_their_colours_differ():
+    from testbed.dashboard.legend import BACK, WIDTH, picture
+
+    lines = [("dark: delivered, or to the vehicle", (120, 130, 145), True)]
+    lines += [("warns", (224, 160, 60), True), ("ends the flight", (255, 107, 107), True)]
+    for names in (["sat1"], [f"satellite_{k}" for k in range(8)]):
+        entries = [*((name, hue, False) for name, hue in zip(names, HUES, strict=False)), *lines]
+        drawn = np.asarray(Image.open(io.BytesIO(picture(entries))))
+        used = np.flatnonzero((drawn != BACK).any(axis=(0, 2)))
+        assert used.max() < WIDTH - 10
+        assert all((drawn == colour).all(axis=2).any() for _, colour, _ in entries)
+    assert len(set(HUES)) == 8  # as in the report and on the console
+
+
+def test_the_title_of_many_valves_is_short():
+    from testbed.config import find, load
+    from testbed.dashboard.blueprint import _valve_rows
+
+    base = load(find("hold"))
+    for count, words in (
+        (2, "row 11: sat1 jet 1, 21: sat2 jet 1"),
+        (8, "row 11: sat1 jet 1, 21: sat2 jet 1, ..., 81: sat8 jet 1"),
+    ):
+        crew = {f"sat{k + 1}": base.vehicles["sat1"] for k in range(count)}
+        view = _valve_rows(msgspec.structs.replace(base, vehicles=crew), 60.0)
+        assert str(view.name).endswith(words)
 
 
 def test_those_in_the_same_state_share_the_banner():

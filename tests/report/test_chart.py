@@ -1,6 +1,7 @@
 """Figures: axes with units, everything inside them, thinning that hides nothing."""
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from itertools import pairwise
 
@@ -8,8 +9,8 @@ import numpy as np
 import pytest
 
 from testbed.report.axis import number, ticks
-from testbed.report.chart import alone, draw, thinned
-from testbed.report.item import WIDTH, Chart, Disc, Limit, Line, Moment, Point, Raster
+from testbed.report.chart import SHAPES, THEME, alone, draw, thinned
+from testbed.report.item import HUES, WIDTH, Chart, Disc, Limit, Line, Moment, Point, Raster
 
 T = np.linspace(0.0, 100.0, 20_001)
 
@@ -57,6 +58,19 @@ def test_whatever_is_in_it_is_a_picture(made):
     ET.fromstring(svg)
     assert "nan" not in svg
     assert "inf" not in svg
+
+
+def test_eight_vehicles_differ_in_colour_and_mark_in_both_themes():
+    svg = draw(chart(*(Line(T, T + k, k, f"sat{k + 1}") for k in range(HUES))))
+    assert all(f'class="line s{k} "' in svg for k in range(HUES))
+    assert f"s{HUES}" not in svg
+    assert HUES == len(set(SHAPES)) == 8  # as the console and the dashboard
+    for k in range(HUES):
+        light, dark = re.findall(rf"--h{k}: (#\w+)", THEME)
+        assert light != dark
+        assert f".s{k} {{ stroke: var(--h{k}); }}" in THEME
+        assert f".f{k} {{ fill: var(--h{k}); }}" in THEME
+    assert len(set(re.findall(r"--h\d: (#\w+)", THEME))) == 2 * HUES
 
 
 def test_thinning_keeps_the_extremes():
