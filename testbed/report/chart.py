@@ -38,7 +38,7 @@ TIME = "time [s]"  # label of a time axis
 MARKS = 4  # on a line
 BEYOND = (-0.02, 1.02)  # shares of the height; what is further out is drawn there
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
-LETTER, ROW = 7.2, 18  # of a legend: width of a letter, height of a row
+LETTER, WIDE_LETTER, ROW = 7.2, 9.0, 18  # of a legend: widths of a letter, height of a row
 
 # Corners of the cases' marks about their centre, in radii of the disc, which is the first.
 SHAPES: tuple[tuple[tuple[float, float], ...], ...] = (
@@ -58,7 +58,9 @@ SHAPES: tuple[tuple[tuple[float, float], ...], ...] = (
 def draw(chart: Chart) -> str:
     """The figure as an SVG element of an HTML page."""
     frame = _Frame(chart)
-    body = [*frame.axes(), *(frame.item(item) for item in chart.items), *frame.legend()]
+    shapes = [frame.item(item) for item in chart.items]
+    names = f'<g class="names">{"".join(frame.names)}</g>' * bool(frame.names)  # no line hides them
+    body = [*frame.axes(), *shapes, names, *frame.legend()]
     return (
         f'<svg viewBox="0 0 {chart.width} {frame.height:.0f}" role="img" '
         f'aria-label="{escape(chart.title)}" {frame.attributes()}>' + "".join(body) + "</svg>"
@@ -140,14 +142,17 @@ class _Frame:
         self.y_axis = Axis(y0, y1, self.bottom, self.top, chart.log, chart.whole)
         self.per = width / (x1 - x0)  # pixels per unit of x
         self._name_at = self._names_of_limits()
+        self.names: list[str] = []  # of the drawn items
 
     def attributes(self) -> str:
         """The frame for report.js: position and range of both axes."""
         x, y = self.x, self.y_axis
         ends = (self.left, self.top, self.right, self.bottom, x.low, x.high, y.low, y.high)
         time = 'data-time="1" ' * (self.chart.x_label == TIME and not self.chart.x_log)
+        unit = re.search(r"\[(.+?)\]", self.chart.y_label)
+        of = f'data-unit="{escape(unit[1])}" ' if unit and time else ""
         numbers = " ".join(f"{one:.6g}" for one in ends)
-        return f'{time}data-frame="{numbers} {int(self.chart.log)}"'
+        return f'{time}{of}data-frame="{numbers} {int(self.chart.log)}"'
 
     def _names_of_limits(self) -> dict[str, float]:
         """Height of each limit's name: above its line, or below it if there is no room."""
@@ -204,10 +209,9 @@ class _Frame:
                         f'd="{self._path(x, y)}"/>{self._marks(item)}')  # fmt: skip
             case Limit(y, name, style):
                 look = f"limit {style}".rstrip()
-                name = text(
-                    self.right - 4, self._name_at[name], name, f"limitname {style}".rstrip(), "end"
-                )
-                return f'<path class="{look}" d="M{self.left} {self.y(y):.1f}H{self.right}"/>{name}'
+                of = f"limitname {style}".rstrip()
+                self.names.append(text(self.right - 4, self._name_at[name], name, of, "end"))
+                return f'<path class="{look}" d="M{self.left} {self.y(y):.1f}H{self.right}"/>'
             case Moment(x, name, style):
                 at = self.x.at(x)
                 if not name:
@@ -219,8 +223,8 @@ class _Frame:
                 late = at + LETTER * len(name) > self.right  # no room on the right
                 side = (at - 5, "end") if late else (at + 5, "start")
                 of = " value" * (style == "value")
-                return (f'<path class="limit{of}" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
-                        + text(side[0], row, name, f"limitname{of}", side[1]))  # fmt: skip
+                self.names.append(text(side[0], row, name, f"limitname{of}", side[1]))
+                return f'<path class="limit{of}" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
             case Disc(x, y, radius, style, hue):
                 paint = f"{style} s{hue % HUES} f{hue % HUES}" if style == "ghost" else style
                 return (f'<circle class="{paint}" cx="{self.x.at(x):.1f}" cy="{self.y(y):.1f}" '
@@ -300,19 +304,18 @@ class _Frame:
         away = max(9.0, 3.0 + 0.72 * point.room * self.per)
         late = a + away + LETTER * len(point.name) > self.right  # no room on the right
         side = (a - away, "end") if late else (a + away, "start")
-        name = ""
         if point.name:
             height = max(b - away, self.top + 11)
             look = "limitname" if point.shape in ("hit", "fault") else f"name f{hue}"
-            name = text(side[0], height, point.name, look, side[1])
+            self.names.append(text(side[0], height, point.name, look, side[1]))
         if point.shape == "hit":
             return (f'<path class="line hit" d="M{a - 7:.1f} {b:.1f}h14m-7 -7v14m-5 -12l10 10m0 -10'
-                    f'l-10 10"/>{name}')  # fmt: skip
+                    'l-10 10"/>')  # fmt: skip
         if point.shape == "fault":
-            return f'<path class="line hit" d="M{a - 8:.1f} {b - 8:.1f}l16 16m0 -16l-16 16"/>{name}'
+            return f'<path class="line hit" d="M{a - 8:.1f} {b - 8:.1f}l16 16m0 -16l-16 16"/>'
         if point.shape == "ring":
-            return f'<circle class="line s{hue}" cx="{a:.1f}" cy="{b:.1f}" r="5"/>{name}'
-        return f'<path class="line s{hue}" d="M{a - 5:.1f} {b - 5:.1f}l10 10m0 -10l-10 10"/>{name}'
+            return f'<circle class="line s{hue}" cx="{a:.1f}" cy="{b:.1f}" r="5"/>'
+        return f'<path class="line s{hue}" d="M{a - 5:.1f} {b - 5:.1f}l10 10m0 -10l-10 10"/>'
 
     def legend(self) -> list[str]:
         out = []
@@ -338,7 +341,8 @@ class _Frame:
         for item in self.chart.items:
             if not isinstance(item, Line | Key) or not item.name:
                 continue
-            wide = _sample(item) + LETTER * len(item.name)
+            letters = len(item.name)  # 15 pixels high on a phone and on paper, 12 elsewhere
+            wide = _sample(item) + max(LETTER * letters, WIDE_LETTER * letters - 10)
             if at + wide > self.right and at > self.left:
                 at, row = float(self.left), row + 1
             out.append((item, at, row))
@@ -371,5 +375,7 @@ def _range(chart: Chart) -> tuple[float, float]:
         high = max(high, 1e-9)
         low = max(low, 1e-5 * high)
         return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 0.01)
-    air = 0.06 * (high - low) or max(abs(high), 1.0) * 0.06
+    size = max(abs(low), abs(high))
+    constant = high - low < 1e-9 * size  # but for rounding
+    air = 0.06 * (max(size, 1.0) if constant or high == low else high - low)
     return (low if low == 0.0 else low - air), high + air

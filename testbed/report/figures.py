@@ -220,7 +220,7 @@ def _force(scenario: Experiment, history: History) -> Iterator[Chart]:
             _smooth(v.realised_wrench[:, 0], width), _smooth(v.realised_wrench[:, 1], width)
         )
         items.append(Line(v.t, given, k, "", "thin dashed", f"{name} delivered"))
-        items.append(Line(v.t, commanded, k, f"{name} demanded"))
+        items.append(Line(v.t, commanded, k, name, hint=f"{name} demanded"))
     yield Chart("force", "Force demanded and delivered", "time [s]", "force [N]", items,
                 _time(history), note="Means over 1 s. Delivered (thin, dashed): computed "
                 "from the pulses and the jet table.")  # fmt: skip

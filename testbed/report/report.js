@@ -54,7 +54,8 @@
     plot.cursor.setAttribute("d", `M${px.toFixed(1)} ${f.top}V${f.bottom}`);
     plot.lines ??= [...svg.querySelectorAll("path[data-name]")].map(path => ({
       name: path.dataset.name, hue: path.dataset.hue, line: pieces(path) }));
-    plot.out.replaceChildren(`at ${t.toFixed(1)} s: `, ...plot.lines.flatMap(one => {
+    const unit = svg.dataset.unit;
+    plot.out.replaceChildren(`at ${t.toFixed(1)} s${unit ? `, in ${unit}` : ""}: `, ...plot.lines.flatMap(one => {
       const dot = document.createElement("span"), py = at(one.line, px);
       dot.textContent = `${one.name} ${isNaN(py) ? "\u2013" : words(f.value(py), Math.abs(f.value(py) - f.value(py + 0.1)))}`;
       dot.style.color = `var(--h${one.hue})`;
@@ -87,7 +88,7 @@
   const cars = [], rocks = [];
   if (flight && top_view) {
     const f = frame(top_view), layer = make("g", { id: "live" });
-    top_view.insertBefore(layer, top_view.querySelector(".hit")); // below the crosses
+    top_view.insertBefore(layer, top_view.querySelector(".hit, .names")); // below crosses and names
     top_view.classList.add("live");
     for (const rock of flight.obstacles) {
       const group = make("g", {}, layer);

@@ -145,3 +145,40 @@ def test_moments_are_marked_inside_and_do_not_overlap():
     names = [t for t in root.iter("text") if t.text == "sat1 hits o1"]
     assert [t.get("text-anchor") for t in names] == ["start", "end"]
     assert float(names[1].get("y")) - float(names[0].get("y")) > 12.0
+
+
+def test_no_line_covers_a_name_and_no_vehicle_either():
+    drawn = chart(Limit(50.0, "limit"), Moment(20.0, "fault"), Point(5.0, 5.0, 1, "ring", "sat2"),
+                  Point(9.0, 9.0, 0, "hit", "contact"), Line(T, T, 0, "sat1"))  # fmt: skip
+    root = ET.fromstring(draw(drawn))
+    kinds = [child.get("class") or "" for child in root]
+    at = kinds.index("names")
+    assert [t.text for t in root[at]] == ["limit", "fault", "sat2", "contact"]
+    assert max(k for k, kind in enumerate(kinds) if kind.startswith("line s0 ")) > at  # the legend
+    assert kinds.index("line s0 ") < at
+    assert kinds.index("line hit") < at  # the report draws its vehicles below that
+
+
+def test_a_figure_over_time_tells_its_unit():
+    line = Line(T, T, 0, "sat1")
+    assert 'data-unit="mm"' in draw(chart(line))
+    logarithmic = Chart("k", "t", "time [s]", "distance [m], log scale", [line], (0.0, 1.0))
+    assert 'data-unit="m"' in draw(logarithmic)
+    assert "data-unit" not in draw(Chart("k", "t", "x [m]", "y [m]", [line], (0.0, 1.0)))
+
+
+def test_what_is_constant_but_for_rounding_has_an_axis_of_different_numbers():
+    root = ET.fromstring(draw(chart(Line(T, 92.0 + 1e-13 * np.sin(T), 0, "sat1"))))
+    ticks = [t.text for t in root.iter("text") if t.get("text-anchor") == "end"]
+    assert len(ticks) > 1
+    assert len(ticks) == len(set(ticks))
+
+
+def test_names_in_a_legend_have_room_for_the_large_letters_of_a_phone():
+    names = ["sat1", "sat1, sat2", "sat1 delivered", "satellite_long_8"] * 2
+    root = ET.fromstring(draw(chart(*(Line(T, T, k, name) for k, name in enumerate(names)))))
+    found = [t for t in root.iter("text") if t.text in names]
+    for one, other in pairwise(found):
+        if one.get("y") == other.get("y"):
+            sample = float(other.get("x")) - 28.0
+            assert float(one.get("x")) + 9.0 * len(one.text) <= sample + 1.0

@@ -158,7 +158,7 @@ def test_dragging_moves_vehicles_jets_and_cursors(page):
     assert text(page, "#scrub output") == "2.0 s"
     assert all(a != b for a, b in zip(late, there(), strict=True))
     assert cursor() != line
-    assert text(page, "#error .values").startswith("at 2.0 s: sat1 ")
+    assert text(page, "#error .values").startswith("at 2.0 s, in mm: sat1 ")
     plumes = []
     for t in np.arange(1.0, 6.0, 0.2).tolist():
         move(page, t)
