@@ -34,6 +34,7 @@ from testbed.report.events import lines
 from testbed.report.goal_error import GoalError
 from testbed.report.item import HUES, Chart, Disc, Item, Limit, Line
 from testbed.report.page import (
+    DASH,
     OF_A_GOAL,
     ROWS,
     SCRIPT,
@@ -41,6 +42,7 @@ from testbed.report.page import (
     figure,
     known,
     page,
+    rounded,
     together_of,
 )
 from testbed.report.scrubber import LONGEST, bar, flight_data, vehicle_data
@@ -138,7 +140,7 @@ def print_table(runs: Sequence[ComparedRun]) -> None:
         grid.add_column(run.label if fits else str(k), justify="right")
     for heading, key, scale, digits, _ in rows_for(runs):
         cells = [worst(run, key) for run in runs]
-        words = ["-" if v is None else f"{scale * v:.{digits}f}" for v in cells]
+        words = ["-" if v is None else rounded(scale * v, digits) for v in cells]
         grid.add_row(heading.replace("[", "\\["), *words)
     grid.add_row("verdict", *[verdict(run.metrics) for run in runs])
     show(out, grid)
@@ -204,7 +206,7 @@ def render(runs: Sequence[ComparedRun], printed: Printed | None = None) -> str:
     for heading, key, scale, digits, _ in rows_for(runs):
         cells = [worst(run, key) for run in runs]
         words = "".join(
-            f"<td>{'-' if v is None else f'{scale * v:.{digits}f}'}</td>" for v in cells
+            f"<td>{DASH if v is None else rounded(scale * v, digits)}</td>" for v in cells
         )
         rows.append(f"<tr><td>{heading}, worst vehicle</td>{words}</tr>")
     rows.append(

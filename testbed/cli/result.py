@@ -18,7 +18,7 @@ from testbed.metrics.run_metrics import (
     Metrics,
     weakest_jet,
 )
-from testbed.report.page import OF_A_GOAL, ROWS, known
+from testbed.report.page import OF_A_GOAL, ROWS, known, rounded
 from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
 STOP_TOOK = 0.5  # a fault that was found so long before the end gets its own time [s]
@@ -119,7 +119,7 @@ def print_formation(out: Console, f: FormationMetrics, experiment: Experiment) -
 
 
 def _cell(value: float | None, scale: float, digits: int, *, is_missed: bool) -> str:
-    words = "-" if value is None else f"{scale * value:.{digits}f}"
+    words = "-" if value is None else rounded(scale * value, digits)
     return f"[red]{words}[/]" if is_missed else words
 
 

@@ -11,6 +11,11 @@ from testbed.report.verdict import hit
 
 SHOWN = 40  # most lines in the list
 REPEATED = 3  # repetitions from which an event becomes one line
+HOW_MARKED = (
+    '<p class="soft">Figures over time have dotted lines at warnings, dashed ones at contacts, '
+    'faults and forks. <span class="on-screen">A click on an event or a figure shows that time in '
+    "all of them.</span></p>"
+)
 LOOKS = {"CRITICAL": "not", "ERROR": "not", "WARN": "warn", "INFO": ""}
 
 
@@ -51,7 +56,7 @@ def happened(told: Sequence[EventLine]) -> str:
         rest = f'<td></td><td></td><td class="words soft">{more} more, in the log</td>'
         rows = [*rows[:half], f"<tr>{rest}</tr>", *rows[-half:]]
     return (
-        '<h2>Faults and interventions</h2><div class="wide"><table><tr>'
+        f'<h2>Faults and interventions</h2>{HOW_MARKED}<div class="wide"><table><tr>'
         '<th>time [s]</th><th class="words">vehicle</th><th class="words">event</th></tr>'
         f"{''.join(rows)}</table></div>"
     )

@@ -1,6 +1,7 @@
 """report.html: a run as a self-contained page."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -190,18 +191,28 @@ def _tiles(scenario: Experiment, metrics: Metrics) -> str:
     ) + "</div>"  # fmt: skip
 
 
-DASH = "\N{EN DASH}"
+DASH, JOINT = "\N{EN DASH}", "\N{NO-BREAK SPACE}"
 
 
 def _number(value: float | None, scale: float, digits: int) -> str:
     if value is None or math.isnan(value):
         return DASH
-    return _signed(f"{scale * value:.{digits}f}")
+    return _signed(rounded(scale * value, digits))
+
+
+def rounded(value: float, digits: int) -> str:
+    """`value` with so many decimals, with fewer if it is large: 0.26, 44.29, 237.9, 2433."""
+    most = 3 - math.floor(math.log10(max(abs(value), 1.0)))
+    return f"{value:.{max(0, min(digits, most))}f}"
+
+
+def _three_digits(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def _signed(text: str) -> str:
-    """`text` with typographic minus signs."""
-    return text.replace("-", "\N{MINUS SIGN}")
+    """`text` with typographic minus signs, without that of a zero."""
+    return re.sub(r"-(?!0(\.0*)?(?![\d.]))", "\N{MINUS SIGN}", text).replace("-", "")
 
 
 def _dot(k: int) -> str:
@@ -211,7 +222,8 @@ def _dot(k: int) -> str:
 
 def _pose(pose: tuple[float, float, float]) -> str:
     x, y, theta = pose
-    return _signed(f"({x:.2f}, {y:.2f}) m, {math.degrees(theta):.0f}\N{DEGREE SIGN}")
+    turn = f"{math.degrees(theta):.0f}\N{DEGREE SIGN}"
+    return _signed(f"({x:.2f}, {y:.2f}){JOINT}m,{JOINT}{turn}")  # two lines on a phone
 
 
 def _flown(scenario: Experiment, changed: Sequence[str]) -> str:
@@ -234,7 +246,7 @@ def _flown(scenario: Experiment, changed: Sequence[str]) -> str:
         f"<tr><td>{_dot(k)}{escape(name)}</td>"
         f"<td>{_pose(s.start)}</td>{f'<td>{_pose(s.goal)}</td>' * has_goals}"
         f"<td>{s.model.mass:g}</td>"
-        f"<td>{s.model.radius:g}</td><td>{len(s.model.jets)} "
+        f'<td>{s.model.radius:g}</td><td class="value">{len(s.model.jets)} '
         f"\N{MULTIPLICATION SIGN} {s.model.jets[0].thrust:g} N</td></tr>"
         for k, (name, s) in enumerate(scenario.vehicles.items())
     )
@@ -281,7 +293,9 @@ def _criteria(scenario: Experiment, metrics: Metrics) -> str:
         limit = getattr(criteria.formation if whose else criteria, part, None)
         values = [getattr(v, key, None) for v in metrics.vehicles.values()]
         known = [v for v in values if isinstance(v, int | float)]
-        found = f"{scale * max(known):.3g} {unit}" if known and len(known) == len(values) else DASH
+        found = DASH
+        if known and len(known) == len(values):
+            found = f"{_three_digits(scale * max(known))} {unit}"
         if key == "max_contacts":
             found = str(metrics.contacts)
         if key == "clear_of_obstacles":
@@ -293,12 +307,13 @@ def _criteria(scenario: Experiment, metrics: Metrics) -> str:
                 name, limit = "nearest obstacle, centres", None
                 least = f"\N{GREATER-THAN OR EQUAL TO} {max(radii):g} m"
         if whose and (value := getattr(together, part, None)) is not None:
-            found = f"{scale * value:.3g} {unit}"
+            found = f"{_three_digits(scale * value)} {unit}"
         bound = "yes" if isinstance(limit, bool) else "\N{LESS-THAN OR EQUAL TO} "
         if not isinstance(limit, bool):
             bound = least if limit is None else f"{bound}{scale * limit:g} {unit}"
         verdict = '<span class="met">met</span>' if met else '<span class="not">not met</span>'
-        rows.append(f"<tr><td>{name}</td><td>{bound}</td><td>{found}</td><td>{verdict}</td></tr>")
+        cells = "".join(f'<td class="value">{one}</td>' for one in (bound, found, verdict))
+        rows.append(f"<tr><td>{name}</td>{cells}</tr>")
     return (
         '<h2>Criteria</h2><div class="wide"><table><tr><th>criterion</th><th>limit</th>'
         f"<th>found, worst vehicle</th><th></th></tr>{''.join(rows)}</table></div>"
