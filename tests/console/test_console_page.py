@@ -125,7 +125,7 @@ def test_eight_vehicles_leave_room_for_the_valves_and_differ_in_colour(flown, br
         eight = (
             "Array.from({length: 8}, (_, k) => ({...picture.now.vehicles[0], name: `sat${k + 1}`}))"
         )
-        page.value(f"tiles({eight})")
+        page.value(f"drawn = tiles; tiles = () => {{}}; drawn({eight})")  # and not the three again
         box = "(id => document.getElementById(id).getBoundingClientRect())"
         assert page.value(f"{box}('raster').height") > 90
         assert page.value(f"{box}('raster').bottom") < page.value(f"{box}('valves').bottom")
@@ -136,6 +136,27 @@ def test_eight_vehicles_leave_room_for_the_valves_and_differ_in_colour(flown, br
             ".map(one => getComputedStyle(one).backgroundColor))"
         )
         assert len(set(json.loads(hues))) == 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1366, 1920])
+def test_eight_tiles_are_two_rows_of_four_and_hold_long_names(flown, browser, page_of, width):
+    with browser.Browser(width, 900) as page:
+        page.open(page_of(flown["three"]))
+        eventually(lambda: "not met" in text(page, "#head"), "the verdict is there")
+        page.value(
+            "drawn = tiles; tiles = () => {};"
+            " drawn(Array.from({length: 8}, (_, k) => ({...picture.now.vehicles[0],"
+            " name: `a_long_name_of_satellite_${k + 1}`})))"
+        )
+        inside = page.value(
+            "[...document.querySelectorAll('.tile')].map(tile => {"
+            " const name = document.createRange(); name.selectNodeContents(tile.firstElementChild);"
+            " const box = tile.getBoundingClientRect();"
+            " return [box.x, box.right - name.getBoundingClientRect().right] })"
+        )
+        assert len({round(x) for x, _ in inside}) == 4
+        assert min(room for _, room in inside) >= 0
 
 
 @pytest.mark.slow
