@@ -151,6 +151,37 @@ def test_links_of_a_page_lead_somewhere(page):
     assert [target for target in local if not (page.parent / target).exists()] == []
 
 
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_to_a_heading_lead_to_one(page):
+    links = re.findall(r"\]\(([^)#\s]*)#([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    local = [(page.parent / name if name else page, at) for name, at in links if "://" not in name]
+    assert [f"{at} of {there.name}" for there, at in local if at not in anchors(there)] == []
+
+
+def test_the_tables_of_the_fault_table_are_those_of_its_file():
+    """Each row's response, and its bound where the page gives one in standard deviations."""
+    rows = tomllib.loads((SHIPPED / "faults.toml").read_text(encoding="utf-8"))
+    page = (ROOT / "docs/safety.md").read_text(encoding="utf-8")
+    tables = re.findall(
+        r"^\| row \| when \| response \|\n\|---.*\n((?:\|.*\n)+)", page, re.MULTILINE
+    )
+    told = [re.split(r" *\| *", line)[1:4] for table in tables for line in table.splitlines()]
+    assert len(told) > 15
+    for name, when, response in told:
+        row = rows[name.strip("`")]
+        also = f", else {row['otherwise']}" if "otherwise" in row else ""
+        assert (name, response) == (name, row["response"] + also)
+        bounds = re.findall(r"([\d.]+) standard deviations", when)
+        if len(bounds) == 1 and "innovations" not in when:
+            assert (name, float(bounds[0])) == (name, row["above"])
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_extras_that_a_page_installs_are_declared(page):
     pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

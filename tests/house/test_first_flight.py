@@ -14,7 +14,8 @@ from testbed.core.types import Accel, Health, Pose, State, Twist, Vitals
 from testbed.flight.arming import ArmingParams, Readiness, arming_checks
 from testbed.rig.chain import expected_of
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "first_flight_on_the_table.md").read_text()
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "first_flight_on_the_table.md").read_text()
 COMMANDS = [
     shlex.split(line, comments=True)
     for block in re.findall(r"^```sh\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
@@ -75,7 +76,15 @@ def test_every_check_is_explained_and_no_other():
         for ready in (blind, seen)
         for check in arming_checks(ready, expected_of(experiment, "sat1"), ArmingParams())
     ]
-    rows = PAGE.partition("| red | means | do |")[2]
+    rows = PAGE.split("| red | means | do |")[1]
     names = re.findall(r"^\| `([^`]+)`", rows, re.MULTILINE)
     explained = {name.partition(":")[0] for name in names}
     assert {re.sub("sat2", "NAME", name) for name in checks} == explained
+
+
+def test_checks_that_a_rig_adds_are_explained():
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "testbed/rig").rglob("*.py")]
+    added = {name for text in sources for name in re.findall(r"\bCheck\(\"(\w+)\"", text)}
+    assert {"commissioned", "frame"} <= added
+    explained = set(re.findall(r"^\| `(\w+)[`:]", PAGE, re.MULTILINE))
+    assert added <= explained
