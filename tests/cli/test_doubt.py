@@ -65,7 +65,7 @@ DOUBTED = {  # what is changed: what is said
 
 
 @pytest.mark.parametrize("case", DOUBTED)
-def test_doubts(case):
+def test_each_improbable_value_has_its_warning_and_no_other(case):
     changes, names = DOUBTED[case]
     assert [one.name for one in doubts_of(load(find("hold"), changes))] == names
 

@@ -170,7 +170,7 @@ def test_a_vehicle_can_be_added():
         "duration_s=3600",
     ],
 )
-def test_allowed(override):
+def test_values_that_look_odd_are_accepted(override):
     load(find("zhang2023_table"), [override])
 
 

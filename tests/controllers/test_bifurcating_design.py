@@ -30,7 +30,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[0]}-{row[1]:g}kg-{row[3]}")
-def test_recipe(row):
+def test_gains_of_each_shape_follow_from_the_fleet(row):
     n, mass, force, shape, k_c, k_f, k_v, s, mu, a, b, r = row
     field = design(Fleet(n, mass, force), shape)
     found = (field.k_c, field.k_f, field.k_v, field.s)

@@ -53,7 +53,7 @@ def flown(name, *overrides, drift=0.0):
     # 27.8 s and 44.6 s in the design study of these gains, with on-off jets; 20 % more at most
     [("xue2022_table", 0.0, 33.4), ("xue2024_table_constant", 0.01, 53.5)],
 )
-def test_a_chain(
+def test_a_chain_settles_at_its_edges_and_moves_with_its_leader(
     name: str, speed: float, settles_s: float, overrides: tuple[str, ...], seed: int
 ) -> None:
     _, track, pairs = flown(name, *overrides, f"seed={seed}")

@@ -241,7 +241,7 @@ def test_nothing_opens_before_arm(new_bench):
     assert bench.wait(100_000) == []
 
 
-def test_pulses(new_bench):
+def test_each_valve_opens_at_its_offset_for_its_time(new_bench):
     bench = new_bench()
     start = bench.board.now_us
     answer = bench.plan(1, {0: 60_000, 3: 100_000}, {3: 20_001})

@@ -65,7 +65,7 @@ def test_it_fits_with_room_to_spare(limits):
 
 
 @pytest.mark.parametrize("arguments", [(), (FLOATER,)])
-def test_usage(arguments):
+def test_missing_arguments_print_the_usage(arguments):
     result = build(*arguments)
     assert (result.returncode, result.stdout) == (2, "")
     assert "VEHICLE FOLDER" in result.stderr

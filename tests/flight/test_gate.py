@@ -129,7 +129,7 @@ def verdict(gate, reason, said):
 
 
 @pytest.mark.parametrize(("row", "change", "reason"), ROWS)
-def test_state(row, change, reason, gate, healthy):
+def test_a_state_beyond_a_limit_shuts_the_valves_and_says_why(row, change, reason, gate, healthy):
     assert verdict(gate, reason, ask(gate, replace(healthy, **change)))
 
 
@@ -252,7 +252,7 @@ BRAKING = [
 
 
 @pytest.mark.parametrize(("change", "options", "reason"), BRAKING)
-def test_braking(change, options, reason, gate, healthy):
+def test_what_shuts_the_valves_of_a_vehicle_that_brakes(change, options, reason, gate, healthy):
     said = ask(gate, replace(healthy, **change), braking=True, **options)
     assert said is None if reason is OK else reason in said.words
 

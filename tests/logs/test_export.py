@@ -53,7 +53,7 @@ def path(tmp_path_factory) -> Path:
     return path
 
 
-def test_columns(path):
+def test_columns_are_the_fields_by_their_paths(path):
     found = tables(LogReader(path))
     table = found["/sat1/tick"]
     assert table["inputs.t"].tolist() == [0.1 * k for k in range(10)]  # to the last bit

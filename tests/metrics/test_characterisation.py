@@ -77,7 +77,7 @@ def test_equilateral_triangle():
 
 
 @pytest.mark.parametrize("count", [2, 3, 10])
-def test_line(count):
+def test_an_even_line_has_its_closed_form(count):
     # M = half of (N - 1) s + s
     found = characterise(np.c_[0.3 * np.arange(count), np.zeros(count)])
     assert found.outer == pytest.approx(0.15 * (count - 1))
@@ -85,7 +85,7 @@ def test_line(count):
     assert found.uniformity == pytest.approx(count / count**3)
 
 
-def test_cube():
+def test_a_cube_has_its_closed_form():
     x = np.array([(a, b, c) for a in (0, 1) for b in (0, 1) for c in (0, 1)], dtype=float)
     assert characterise(x).uniformity == pytest.approx(8 / (1 + math.sqrt(3.0)) ** 3)
 
@@ -212,7 +212,7 @@ def hexagons(a, b, spacing):
         ("sphere", 0.341012298531677, shell(50), 0.02),
     ],
 )
-def test_table_3(shape, printed, x, away):
+def test_layouts_come_as_near_to_table_3_as_said_and_no_nearer(shape, printed, x, away):
     assert len(x) == 50
     gap = characterise(x).uniformity / printed - 1.0
     assert abs(gap) < away

@@ -340,5 +340,5 @@ def test_tracking_is_not_judged_without_references():
 @pytest.mark.parametrize(
     ("allowed", "contacts", "met"), [(0, 0, True), (0, 1, False), (2, 2, True), (2, 3, False)]
 )
-def test_contacts(allowed, contacts, met):
+def test_contacts_up_to_the_limit_meet_the_criterion(allowed, contacts, met):
     assert judge(Criteria(max_contacts=allowed), {}, contacts, True)["max_contacts"] is met

@@ -68,7 +68,7 @@ def test_by_the_time_on_the_way(arrived_at, verdict):
     assert (box.newest is None) == (verdict is not Acceptance.TAKEN)
 
 
-def test_by_order():
+def test_repeated_and_overtaken_messages_are_dropped():
     out, box = Outbox(7), inbox()
     first, second, third = (out.seal(demand(t), 1.0, 1.2) for t in (1.0, 1.1, 1.2))
     order = [second, second, first, third, first]

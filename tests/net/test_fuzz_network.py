@@ -151,7 +151,7 @@ def numbers(value):
 
 
 @pytest.mark.parametrize("kind", MESSAGES)
-def test_messages(kind):
+def test_spoilt_messages_are_dropped(kind):
     rng = np.random.default_rng((ROUND, len(kind)))
     decode, whole = MESSAGES[kind]
     body, fed = body_of(whole), [0]
@@ -243,7 +243,7 @@ class NoSession:
     declare_subscriber = declare_queryable
 
 
-def test_orders():
+def test_spoilt_orders_are_refused():
     rng = np.random.default_rng((ROUND, 1))
     now = monotonic_ns()
     whole = [pack(Start(7, now, TICKET)), pack(Stop("enough"))]
@@ -280,7 +280,7 @@ def test_an_order_to_start_at_another_time_is_refused(ahead_s):
     assert b"Accepted" in commands._order(pack(Start(7, monotonic_ns() + 10**9, TICKET)))
 
 
-def test_truth():
+def test_spoilt_truth_is_dropped():
     rng = np.random.default_rng((ROUND, 2))
     whole = pack((5, {"sat1": [0.0] * 6, "sat2": [1.0] * 6}))
     bad = good = 0

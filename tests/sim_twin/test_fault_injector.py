@@ -229,7 +229,7 @@ def test_bodies_are_swapped_frame_by_frame(make_plant, make_vehicle):
         ("disk_full", {"disk_free": 0.0}), ("config_differs", {"same_config": False}),
     ],
 )  # fmt: skip
-def test_vitals(kind, says, plant):
+def test_faults_of_the_vitals_begin_and_end(kind, says, plant):
     broken = injector(plant, fault(kind, for_s=1.0))
     assert broken.vitals("0") == ALL_WELL
     broken.look(1.5)
