@@ -45,6 +45,7 @@ from testbed.flight.bad_jet import INNOVATIONS
 from testbed.flight.barrier import WIDTH, Barrier
 from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
+from testbed.flight.fault_warnings import FaultWarnings
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
 from testbed.flight.hypotheses import CAUSES, cause_of, ranked
@@ -55,7 +56,6 @@ from testbed.flight.permanent import verdict_of
 from testbed.flight.record import DONE, ROW, STATE, TOLD, packing
 from testbed.flight.refusals import refusal_of, reported
 from testbed.flight.silence import blame_link
-from testbed.flight.warnings import Warnings
 
 
 def lead_time(vehicle: Vehicle) -> float:
@@ -109,7 +109,7 @@ class Agent:
         self._place: Reference | None = None  # see `staying`
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
-        self._warnings = Warnings(self._faults)
+        self._warnings = FaultWarnings(self._faults)
         self._see, self._act = settled(chain.see), settled(chain.act)
         self._step = settled(chain.step)
 

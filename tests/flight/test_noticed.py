@@ -7,7 +7,7 @@ from testbed.config import find, load
 from testbed.core.codes import Detector
 from testbed.core.law import Concern
 from testbed.core.warned import Warned, noticed
-from testbed.flight.warnings import Warnings
+from testbed.flight.fault_warnings import FaultWarnings
 from testbed.metrics.run_metrics import ReferenceLog
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
@@ -25,7 +25,7 @@ def look(warnings, t, row, number, said="a hose"):
 
 
 def test_a_row_keeps_its_first_time_and_its_clearest_words():
-    warnings = Warnings(FAULTS)
+    warnings = FaultWarnings(FAULTS)
     look(warnings, 3.0, "pulled", 5.1, "perhaps a hose")
     look(warnings, 4.0, "pulled", 14.0, "a hose")
     look(warnings, 5.0, "pulled", 9.0, "less of it")
@@ -43,7 +43,7 @@ def test_a_row_keeps_its_first_time_and_its_clearest_words():
 
 @pytest.mark.parametrize("row", ["pose_stale", "link_late", "neighbour_late", "fleet", "pose_lost"])
 def test_lost_messages_and_faults_that_end_the_flight_are_not_listed(row):
-    warnings = Warnings(FAULTS)
+    warnings = FaultWarnings(FAULTS)
     look(warnings, 3.0, row, 1.0)
     assert warnings.found == {}
 

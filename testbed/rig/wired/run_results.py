@@ -12,8 +12,8 @@ from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
 from testbed.core.warned import Warned, noticed
 from testbed.flight.detectors import SPOILT
+from testbed.flight.fault_warnings import is_told
 from testbed.flight.loop import Ending, Observer
-from testbed.flight.warnings import is_told
 from testbed.metrics.afterwards import After, Left
 from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
 from testbed.net.commands import Ended, Pace, TickReport

@@ -12,7 +12,7 @@ from testbed.flight.faults import Fault
 ROUTINE = Detector.POSE_AGE, Detector.SETPOINT_AGE, Detector.NEIGHBOUR_AGE
 
 
-class Warnings:
+class FaultWarnings:
     """Keeps for each row when it held first, and its words at their clearest."""
 
     def __init__(self, faults: Sequence[tuple[str, Fault]]) -> None:
