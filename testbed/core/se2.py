@@ -52,3 +52,15 @@ def to_table(theta: float, x_b: float, y_b: float) -> tuple[float, float]:
 
 
 to_body_compiled, to_table_compiled = compiled(to_body), compiled(to_table)
+
+
+@compiled
+def velocity_at(vx, vy, omega, rx, ry):
+    """Velocity in W of the body's point that is at (rx, ry) [m] from its origin, in W.
+
+    Args:
+        vx, vy: velocity of the origin [m/s].
+        omega: turn rate [rad/s].
+        rx, ry: lever arm [m].
+    """
+    return vx - omega * ry, vy + omega * rx

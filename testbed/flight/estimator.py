@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled, pasted
 from testbed.core.scratch import scratch
-from testbed.core.se2 import wrap_compiled
+from testbed.core.se2 import velocity_at, wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.fired import mean_wrench
@@ -132,7 +132,7 @@ def shift_point(x, offset, sign):
     c, s = np.cos(x[2]), np.sin(x[2])
     rx, ry = sign * (c * offset[0] - s * offset[1]), sign * (s * offset[0] + c * offset[1])
     x[0], x[1] = x[0] + rx, x[1] + ry
-    x[3], x[4] = x[3] - x[5] * ry, x[4] + x[5] * rx
+    x[3], x[4] = velocity_at(x[3], x[4], x[5], rx, ry)
 
 
 @compiled

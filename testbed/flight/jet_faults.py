@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.scratch import scratch
-from testbed.core.se2 import to_table_compiled
+from testbed.core.se2 import to_table_compiled, velocity_at
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight import innovation_sums, innovations
@@ -149,7 +149,7 @@ def look(p, m, heard, state, duty, thrust_scale):
     if m.seen == 1 and m.noted < p.ticks:
         return
     rx, ry = to_table_compiled(state.theta, p.com[0], p.com[1])
-    vx, vy = state.vx - state.omega * ry, state.vy + state.omega * rx
+    vx, vy = velocity_at(state.vx, state.vy, state.omega, rx, ry)
     now = np.array((state.theta, vx, vy, state.omega))
     if m.seen == 1:
         m.look += 1

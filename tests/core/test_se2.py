@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from testbed.core.se2 import to_body, to_table, wrap, wrap_compiled
+from testbed.core.se2 import to_body, to_table, velocity_at, wrap, wrap_compiled
 
 angles = st.floats(-1e4, 1e4)
 lengths = st.floats(-1e3, 1e3)
@@ -83,3 +83,12 @@ def test_no_turn_changes_nothing(x, y):
 @given(angles, lengths, lengths)
 def test_a_turn_keeps_lengths(theta, x, y):
     assert math.hypot(*to_body(theta, x, y)) == pytest.approx(math.hypot(x, y), abs=1e-9)
+
+
+@given(angles, lengths, lengths, lengths, lengths, st.floats(-10.0, 10.0))
+def test_a_point_of_a_turning_body_moves_as_its_place_changes(theta, x, y, vx, vy, omega):
+    arm = to_table(theta, x, y)
+    after, before = (to_table(theta + sign * 1e-4 * omega, x, y) for sign in (1.0, -1.0))
+    rates = [(a - b) / 2e-4 for a, b in zip(after, before, strict=True)]
+    found = velocity_at(vx, vy, omega, *arm)
+    assert found == pytest.approx((vx + rates[0], vy + rates[1]), abs=1e-2)
