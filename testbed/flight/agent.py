@@ -13,12 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from testbed.core.bundle import Bundle
-from testbed.core.codes import (
-    Detector,
-    FaultReport,
-    Intervention,
-    Response,
-)
+from testbed.core.codes import Detector, FaultReport, Intervention, Response
 from testbed.core.compiled import settled
 from testbed.core.error import MismatchError
 from testbed.core.jets import JetHealth
@@ -53,7 +48,7 @@ from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
 from testbed.flight.permanent import verdict_of
-from testbed.flight.record import DONE, ROW, STATE, TOLD, packing
+from testbed.flight.record import DONE, ROW, STATE, TOLD, packing, places_in
 from testbed.flight.refusals import refusal_of, reported
 from testbed.flight.silence import blame_link
 
@@ -65,8 +60,9 @@ def lead_time(vehicle: Vehicle) -> float:
 
 RESPONSES = tuple(Response)
 IN, OUT = packing(TOLD), packing(STATE, DONE)
-# places in record.DONE, counted in numbers
-FAULT, HOLDING, OTHER, OLDEST, LEAK, GATE_FAULT = 19, 20, 21, 22, 23, 29
+FAULT, HOLDING, OTHER, OLDEST, LEAK, GATE_FAULT = places_in(
+    DONE, "fault", "holding", "other", "oldest", "leak", "gate_fault"
+)
 STAYS_S = 1.0  # a setpoint to stay is renewed at every tick [s]
 ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 NO_FILTER = 0.0, 0.0  # distance to keep, deceleration

@@ -15,6 +15,7 @@ from testbed.core.records.kinds import SetpointKind
 
 Array = NDArray[np.float64]
 Kind = type | np.dtype[Any] | tuple[int, ...]
+NUMBER = 8  # [bytes]
 
 
 def record(**fields: Kind) -> np.dtype[Any]:
@@ -104,6 +105,12 @@ ROW = record(
 def packing(*kinds: np.dtype[Any]) -> Struct:
     """Packs numbers into records, and takes them out: many times faster than numpy."""
     return Struct("".join(map(_letters, kinds)))
+
+
+def places_in(kind: np.dtype[Any], *names: str) -> tuple[int, ...]:
+    """Places of these fields' first numbers among the numbers of a record."""
+    fields: Any = kind.fields
+    return tuple(fields[name][1] // NUMBER for name in names)
 
 
 def _letters(kind: np.dtype[Any]) -> str:
