@@ -146,7 +146,7 @@ def propagate_plain(
 
 
 def read_only(value: T) -> T:
-    """The same arrays, or (nested) tuples of arrays, as views that cannot be written to."""
+    """Arrays, or (nested) tuples of arrays, as views that cannot be written to."""
     if isinstance(value, np.ndarray):
         view = value.view()
         view.flags.writeable = False

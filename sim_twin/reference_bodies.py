@@ -21,7 +21,7 @@ class ReferenceBodies:
         self._rng = stream(seed, "reference bodies")
 
     def seen(self, now: float, injector: FaultInjector | None) -> dict[str, PoseSample]:
-        """Their poses after faults of the cameras; a body that is not seen is missing."""
+        """Poses of the bodies after faults of the cameras; a body that is not seen is missing."""
         found = {}
         for name, place in self._places.items():
             noise = self._rng.standard_normal(3)

@@ -200,7 +200,7 @@ class Twin:
 
     @property
     def sensor_ports(self) -> Bundle:
-        """Of SensorPorts. Film and links are replaced when they grow; then this is another one."""
+        """Address of SensorPorts; another one once film or links have been replaced, to grow."""
         parts = (
             self.cameras.film, self.cameras.optics,
             self.states.links, self.setpoints.links, self.messages.links,

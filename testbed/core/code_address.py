@@ -23,7 +23,7 @@ class CodeAddress(int):
     function: Any  # keeps the code in memory
 
     def __new__(cls, function: Callable[..., Any], args: tuple[Any, ...]) -> "CodeAddress":
-        """Of `function`, compiled by `compiled`, for arguments of these types."""
+        """The address of `function`, compiled by `compiled`, for arguments of these types."""
         entry, kinds = cast(Any, function), tuple(map(numba.typeof, args))
         if vars(config)["DISABLE_JIT"]:  # there is no machine code, see `called`
             address = super().__new__(cls, 0)

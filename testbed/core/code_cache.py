@@ -97,7 +97,7 @@ def is_ours(thing: Callable[..., Any]) -> bool:
 
 
 def _is_ours_throughout(kind: Any) -> bool:
-    """The same for a numba type; an unknown type is not ours."""
+    """Whether a numba type and all its parts are ours; an unknown type is not."""
     named, several = isinstance(kind, types.BaseNamedTuple), isinstance(kind, types.BaseTuple)
     if named and not is_ours(kind.instance_class):
         return False

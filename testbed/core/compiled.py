@@ -31,7 +31,7 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """The same, inlined into every compiled function that calls it.
+    """Compile `function` like `compiled`, inlined into every compiled function that calls it.
 
     For innermost loops: a law's arguments are two hundred words, and a call would copy them all.
     """
@@ -39,7 +39,7 @@ def inlined(function: F) -> F:
 
 
 def pasted(function: F) -> F:
-    """The same, compiled as part of its callers.
+    """Compile `function` like `compiled`, as part of its callers.
 
     For a function with one caller: machine code of a function is optimised again in each of its
     callers, and theirs, so every level of calls costs seconds of compiling. No call holds
@@ -49,7 +49,7 @@ def pasted(function: F) -> F:
 
 
 def settled(function: F) -> F:
-    """The same compiled function, for one caller whose argument types never change.
+    """A compiled function for one caller whose argument types never change.
 
     At every call numba determines the types of all arguments, down to the last array of a tuple;
     for the small functions of a tick this takes longer than the function. Here it is done at the
@@ -159,7 +159,7 @@ def _hold(typingctx: Any, value: Any) -> Any:
 
 
 def borrowed(value: V) -> V:
-    """The same arrays, or (nested) tuples of arrays, without reference counting.
+    """Arrays, or (nested) tuples of arrays, without reference counting.
 
     In compiled code every use of an array in a tuple changes a reference count with atomic
     instructions: two thirds of a law's time. Borrowed arrays are not counted. The owner must

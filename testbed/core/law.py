@@ -245,12 +245,12 @@ def compiled_rate(gains_type: type) -> Callable[[F], F]:
 
 
 def compiled_jump(gains_type: type) -> Callable[[F], F]:
-    """The same for `jump_of`; the function returns a new array."""
+    """Compile a law's jump, which returns a new array, and register it in `jump_of`."""
     return _compiled_into(_JUMPS, gains_type)
 
 
 def compiled_broadcast(gains_type: type) -> Callable[[F], F]:
-    """The same for `broadcast_of`."""
+    """Compile a law's broadcast and register it in `broadcast_of`."""
     return _compiled_into(_BROADCASTS, gains_type)
 
 

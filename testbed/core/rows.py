@@ -42,7 +42,7 @@ class Rows(Sequence[S]):
 
     @classmethod
     def of(cls, structs: Sequence[S]) -> Self:
-        """The same structs as rows."""
+        """These structs as rows; rows stay as they are."""
         return structs if isinstance(structs, cls) else cls.from_numbers(map(cls.numbers, structs))
 
     @classmethod

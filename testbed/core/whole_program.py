@@ -188,7 +188,7 @@ class EntryCompiler(Compiler):
 
 
 class PartCompiler(EntryCompiler):
-    """The same for parts."""
+    """Numba's compiler for parts."""
 
     library = PartLibrary
 
@@ -215,7 +215,7 @@ class Entry(CPUDispatcher):
 
     @cached_property
     def part(self) -> CPUDispatcher:
-        """The same function for compiled code."""
+        """The function as compiled code calls it."""
         options = self.targetoptions | {"no_cpython_wrapper": True}
         return CPUDispatcher(self.py_func, self.locals, options, PartCompiler)
 

@@ -111,7 +111,7 @@ class Agent:
 
     @property
     def vehicle(self) -> Bundle:
-        """For `chain.step`."""
+        """The chain's constants, memory and record at one address, as `chain.step` takes them."""
         return self._vehicle
 
     @property
@@ -121,7 +121,7 @@ class Agent:
 
     @property
     def params(self) -> Parameters:
-        """Of the chain."""
+        """The chain's constants."""
         return cast(Parameters, self._vehicle.value[0])
 
     @params.setter

@@ -41,7 +41,7 @@ def leaks(m):
 
 @compiled
 def leaks_by_innovations(m):
-    """The same by the innovations, of a large leak."""
+    """Whether the innovations name a large leak, and nothing else explains the motion."""
     found, leak = m.innovations, m.innovations.leak
     other = max(beyond(found.gains, LEAK), leak.next)
     clear = leak.gain > SURE and leak.gain > other + CLEARER + SIMILAR * min(leak.gain, other)
@@ -50,7 +50,7 @@ def leaks_by_innovations(m):
 
 @compiled
 def nudge_of(m):
-    """Gain of a nudge."""
+    """Gain of a nudge, by the window that it suits best."""
     return max(m.gains[NUDGE], m.far.gains[NUDGE])
 
 
@@ -62,7 +62,7 @@ def leak_of(m):
 
 @compiled
 def weak_of(m):
-    """The same of a weak jet."""
+    """The suspicion of a weak jet: by the window that is sure of one, else by the long one."""
     if m.weak_by == INNOVATIONS:
         return m.innovations.weak
     return m.weak if m.weak_by == NEAR else m.far.weak

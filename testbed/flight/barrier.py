@@ -253,7 +253,7 @@ def around(t, px, py, speed, obstacles, others, limits, thrust_scale):
 
 @compiled
 def standing(discs):
-    """The same rows, with moving obstacles out of reach: a flight that is clear may pass them."""
+    """`discs` with moving obstacles out of reach: a flight that is clear may pass them."""
     still = discs.copy()
     for k in range(discs.shape[0]):
         if discs[k, 5] == 1.0 and (discs[k, 2] != 0.0 or discs[k, 3] != 0.0):

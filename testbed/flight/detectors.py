@@ -65,7 +65,7 @@ def compare(p, m, heard, fired, always, window, row, duty, thrust_scale):
     ours = abs(row.told.clock_offset) < SAME_CLOCK
     if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
-        # once, but it would stay in the sums of the whole flight
+        # a nudge passes, but it would stay in the sums of the whole flight
         if nudged(p, m) > math.sqrt(2.0 * SURE):
             permanent.restart(always, window)
         if m.look != before and m.summed == 0:
@@ -137,7 +137,7 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
     either = bad_jet.leaks_or_is_weak(suspected)
     done.leak = bad_jet.sigmas(suspected.leak) if either else 0.0
     repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
-    numbers = (
+    numbers = (  # in the order of codes.Detector, up to FLEET
         abs(age),
         repeats if p.noisy else 0.0,
         jumped,

@@ -22,7 +22,7 @@ class _Run:
 
     @property
     def rows(self) -> slice:
-        """Of the table."""
+        """Where the run is in its table."""
         return slice(self.first, self.first + self.count)
 
     def goes_on(self, table: TickTable | HostTable, k: int) -> bool:

@@ -52,7 +52,7 @@ class FlownTick:
 
     @property
     def tick(self) -> Tick:
-        """The same as structs."""
+        """The tick as structs."""
         return Tick(self.inputs, self.outputs)
 
     @property
@@ -118,7 +118,7 @@ class FlownHostTick:
 
     @property
     def tick(self) -> HostTick:
-        """The same as structs."""
+        """The tick as structs."""
         return HostTick(self.inputs, self.outputs)
 
     @property

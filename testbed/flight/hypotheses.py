@@ -192,7 +192,7 @@ def better(gains, kind):
 
 
 def cause_of(m: Any, kind: int) -> int:
-    """The same of a record of window.VERDICT."""
+    """The kind of cause to name, see `better`; `m` is a record of window.VERDICT."""
     return better.py_func(m.gains, kind)  # type: ignore[attr-defined]
 
 

@@ -171,7 +171,7 @@ def pause(p, m, heard):
 
 @compiled
 def pause_windows(p, m, heard):
-    """The same, but the innovations, which do not hear the estimator."""
+    """`pause` the windows only: the innovations do not depend on the estimator."""
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
     forget(m.far)

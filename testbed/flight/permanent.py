@@ -112,7 +112,7 @@ def refute(m, far):
 
 @compiled
 def restart(m, window):
-    """Begin anew."""
+    """Forget the whole flight's score, and begin it anew."""
     m.begun, m.sums, m.squares, m.noise, m.later[:] = 0, 0, 0.0, 0.0, 0.0
     forget(m)
     clear(window)

@@ -34,7 +34,7 @@ class Turn:
         return self._quintic(max(0.0, s))
 
     def _quintic(self, s: float) -> tuple[float, float, float]:
-        """The same after a share `s` of the time from start to end."""
+        """What `at` gives after a share `s` of the time from start to end."""
         a, w = self._angle, 1.0 / self._span
         return (
             self._start + a * s**3 * (10.0 - 15.0 * s + 6.0 * s * s),

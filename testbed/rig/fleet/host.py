@@ -65,7 +65,7 @@ class TwinHost(ForkedHost):
 
     @property
     def bundles(self) -> tuple[Bundle, Bundle, Bundle]:
-        """Of its HostPorts, its table and the law's model."""
+        """Addresses of its HostPorts, its table and the law's model."""
         assert self.guidance.model is not None
         return self._ports, self._rows, self.guidance.model
 

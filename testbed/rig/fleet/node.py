@@ -65,7 +65,7 @@ class TwinNode:
 
     @property
     def bundles(self) -> tuple[Bundle, Bundle, Bundle]:
-        """Of its VehiclePorts, its table, and for `chain.step`."""
+        """Addresses of its VehiclePorts, its table, and the vehicle for `chain.step`."""
         return self._ports, self._rows, self._agent.vehicle
 
     @property
