@@ -177,7 +177,7 @@ def validate(
     vehicle: str, since: float | None, until: float | None, as_json: bool, against: str | None,
     table: str | None, out: Path | None,
 ) -> None:  # fmt: skip
-    """Predict LOGS 1, 3 and 5 s ahead and say how far off the twin is."""
+    """Measure the twin's errors 1, 3 and 5 s ahead, on LOGS."""
     from testbed.cli import calibrate as work
 
     context.exit(

@@ -306,19 +306,19 @@ def _stat(pid: int) -> list[str]:
 
 
 def parent_of(pid: int) -> int:
-    """PID of its parent; 0: the process has ended."""
+    """PID of a process's parent; 0: it has ended."""
     fields = _stat(pid)
     return int(fields[1]) if fields else 0
 
 
 def session_of(pid: int) -> int:
-    """Its session id; 0: the process has ended."""
+    """Session id of a process; 0: it has ended."""
     fields = _stat(pid)
     return int(fields[3]) if fields else 0
 
 
 def words_of(pid: int) -> bytes:
-    """Its command line, from /proc."""
+    """Command line of a process, from /proc; empty: it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
@@ -331,7 +331,7 @@ def shows(words: bytes) -> bool:
 
 
 def resident_mb(pid: int) -> float:
-    """Its resident memory [MB]."""
+    """Resident memory of a process [MB]; 0: it has ended."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     except (OSError, IndexError):

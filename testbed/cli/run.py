@@ -137,7 +137,7 @@ def run_experiment(
 
 
 def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
-    """For `--local`: the addresses of `testbed twin --local` instead of the lab's."""
+    """The experiment with the addresses of `testbed twin --local` instead of the lab's."""
     if rig != "table":
         raise ConfigError("command line", "--local", "--rig table", f"--rig {rig}")
     from testbed.rig.wired.local import local

@@ -15,14 +15,14 @@ FINE = 0.004  # between two delays [s]
 
 
 class Noise(NamedTuple):
-    """Of one pose, one standard deviation."""
+    """Noise of one pose: standard deviations."""
 
     place: float  # [m]
     heading: float  # [rad]
 
     @property
     def axes(self) -> Array:
-        """Of x, y and heading."""
+        """Standard deviations of x, y and heading [m, m, rad], shape (3,)."""
         return np.array([self.place, self.place, self.heading])
 
 

@@ -41,5 +41,5 @@ class PageClient:
         return answer
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._link.close()

@@ -194,7 +194,7 @@ class World:
         return math.hypot(goal[0] - x, goal[1] - y), abs(wrap(heading - theta))
 
     def reward(self, name: str) -> float:
-        """Of the last period."""
+        """Reward of a vehicle for the last period; docs/learning.md has the formula."""
         if self.ended(name):
             return FAILED
         (distance, heading), period = self.off(name), self._twin.period
@@ -212,7 +212,7 @@ class World:
         return "fault" if self._last[name].outputs.fault is not None else ""
 
     def told(self, name: str) -> dict[str, Any]:
-        """The `info` of Gymnasium."""
+        """What Gymnasium calls `info`: times, true errors, and how the episode ended."""
         distance, heading = self.off(name)
         fault = self._last[name].outputs.fault
         return {

@@ -247,7 +247,7 @@ def doubts_about(
 def admitted(
     logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle], *, force: bool
 ) -> list[Suspicion]:
-    """As `doubts_about`, for verbs that refuse what `calibrate_motion` refuses.
+    """Suspicions of `doubts_about`, for verbs that refuse what `calibrate_motion` refuses.
 
     Raises:
         RefusedError: a suspicion forbids a fit, and it is not forced.

@@ -65,7 +65,7 @@ def pulses(t: Any, share: Any, period: float) -> Valves:
 
 
 def shares(t: Any, share: Any, period: float) -> Valves:
-    """As `pulses`, where the times of a valve within its period are not known.
+    """Valves from open shares, where the times of a valve within its period are not known.
 
     Each valve is taken as open for its share throughout the period.
     """

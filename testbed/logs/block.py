@@ -81,7 +81,7 @@ class _Queue:
         self._stacks = stacks[::-1]
 
     def take(self, number: int) -> list[Stack]:
-        """The next so many."""
+        """The next `number` messages, in stacks."""
         taken = []
         while number > 0:
             stack = self._stacks.pop()

@@ -22,7 +22,7 @@ class Topic(Struct, frozen=True, tag=True, array_like=True):
 
 
 class One(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """One message."""
+    """One message of a topic."""
 
     topic: int
     stamp: int  # time of the run [ns]

@@ -40,12 +40,12 @@ class RecordedContact(Protocol):
 
     @property
     def t(self) -> float:
-        """When [s]."""
+        """Time of the contact [s]."""
         ...
 
     @property
     def speed(self) -> float:
-        """Closing [m/s]."""
+        """Closing speed [m/s]."""
         ...
 
 

@@ -89,7 +89,7 @@ def characterise(
 
 
 def characterise_each(positions: Array, velocities: Array) -> list[Characterisation]:
-    """The same for a group at several times, to the last bit; a few satellites in one go.
+    """The five elements of a group at several times, to the last bit those of `characterise`.
 
     Args:
         positions: at each time, shape (m, n, d) [m].
@@ -146,7 +146,7 @@ def among_few(x: Array, a: Array) -> tuple[Array, float]:
 
 
 def among_many(x: Array, a: Array) -> tuple[Array, float]:
-    """The same from a k-d tree."""
+    """What `among_few` gives, from a k-d tree."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(x)

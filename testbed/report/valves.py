@@ -17,7 +17,7 @@ def openings(vehicle: VehicleHistory, jet: int, delay: float) -> tuple[Array, Ar
 
 
 def reported(edges: Array, jet: int) -> tuple[Array, Array]:
-    """The same from the edges (t, mask) that the board reports."""
+    """Times and durations of a jet's openings [s], from the board's edges (t, mask)."""
     is_open = (edges[:, 1].astype(int) >> jet) & 1
     before = np.concatenate([[0], is_open[:-1]])
     starts = edges[(is_open == 1) & (before == 0), 0]

@@ -210,7 +210,7 @@ def _fly_and_judge(
     experiment: Experiment, folder: Path, interrupt: Interrupt, rig: Rig, speed: float | None,
     screen: FlightScreen, epoch_ns: int, end_compilers: Callable[[], None],
 ) -> Metrics:  # fmt: skip
-    """The same with a rig; `end_compilers` is called before the flight."""
+    """`fly_and_judge` with a rig that is made; `end_compilers` is called before the flight."""
     ending, wall = Ending(0.0, None), 0.0
     pace = None
     if speed is not None and isinstance(rig, TwinRig):

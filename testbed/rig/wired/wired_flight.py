@@ -96,7 +96,7 @@ class RemoteNode:
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,
         end: bool = False, stay: bool = False,
     ) -> Tick:  # fmt: skip
-        """Its newest tick, or a substitute with a fault if it is silent or has ended."""
+        """The vehicle's newest tick, or a substitute with a fault if it is silent or has ended."""
         self._meet(armed, fleet)
         tick = self._newest(t)
         self.fault = tick.outputs.fault
