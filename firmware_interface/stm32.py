@@ -29,7 +29,7 @@ RANDOM, RANDOM_SIZE, CORE, CORE_SIZE = 0x5006_0000, 0x1000, 0xE000_E000, 0x1000
 LANDING = 0x0010_0000  # where handlers return to
 
 RCC_CR, RCC_CFGR, RCC_CSR = 0x4002_3800, 0x4002_3808, 0x4002_3874
-GPIOC_MODER, GPIOC_ODR, GPIOC_BSRR = 0x4002_0800, 0x4002_0814, 0x4002_0818
+GPIOC_MODER, GPIOC_BSRR = 0x4002_0800, 0x4002_0818
 IWDG_KR, IWDG_PR, IWDG_RLR = 0x4000_3000, 0x4000_3004, 0x4000_3008
 TIM2_CR1, TIM2_DIER, TIM2_SR = 0x4000_0000, 0x4000_000C, 0x4000_0010
 TIM2_EGR, TIM2_CNT, TIM2_CCR1 = 0x4000_0014, 0x4000_0024, 0x4000_0034
@@ -45,7 +45,7 @@ PLAIN = frozenset({  # registers stored and read back, without effect here
     0x5006_0800, NVIC_ISER0, NVIC_ISER1, 0xE000_E41C, 0xE000_E425, IWDG_PR, IWDG_RLR,
 })  # fmt: skip
 
-TIM2, USART1, HARD_FAULT = 28, 37, 3 - 16  # numbers of interrupts; exceptions come before
+TIM2, USART1 = 28, 37  # numbers of interrupts
 RXNE, TXE, TC, CC1, LSI_HZ = 1 << 5, 1 << 7, 1 << 6, 1 << 1, 32_000
 CAUSES = {  # flags in RCC_CSR; power-on sets all of a reset's, RM0090 7.3.21
     ResetCause.UNKNOWN: 0,
@@ -263,7 +263,7 @@ class Machine:
         return min(found, key=self.priority, default=None)
 
     def priority(self, number: int) -> int:
-        """Of an interrupt; lower ones come first."""
+        """Priority of an interrupt; lower numbers come first."""
         return self._reg.get(NVIC_IPR + number, 0)
 
     def _line_flags(self) -> int:

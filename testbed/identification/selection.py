@@ -14,7 +14,7 @@ from testbed.identification.model import VehicleModel
 from testbed.identification.windows import Windows
 
 Array = NDArray[np.float64]
-TIME_FOLDS, REGION_FOLDS = 6, 4
+TIME_FOLDS = 6  # parts of the log by time; by region there are four
 ALWAYS = ("thrust", "delay", "slope")  # no table is level
 LEAST_GAIN = 0.0005  # of the error, relative
 NEEDED = 1.0  # the same, without a group over with it: the square error of unseen parts doubles
