@@ -11,6 +11,7 @@ from testbed.campaign.interval import success_rate
 from testbed.campaign.sweep import base_experiment
 from testbed.config import SHIPPED, Experiment, dump
 from testbed.config.key import assignment
+from testbed.core.spelling import counted
 
 WIDTH = 100  # characters per line
 WEAK = 0.9  # a lower end of the interval below this is weak evidence
@@ -95,7 +96,7 @@ def head(record: Record, path: Path, options: str) -> str:
     )
     runs = sum(row.runs + row.robust_runs for row in record.scores)
     counts = {row.runs for row in record.scores}
-    seeds = f"{'at most ' * (len(counts) > 1)}{plural(max(counts), 'seed')}"
+    seeds = f"{'at most ' * (len(counts) > 1)}{counted(max(counts), 'seed')}"
     code = f" (code {record.code})" if record.code else ""
     try:
         name = f"configs/{path.resolve().relative_to(SHIPPED.resolve()).as_posix()}"
@@ -103,7 +104,7 @@ def head(record: Record, path: Path, options: str) -> str:
         name = path.name
     return (
         "Standard scenarios under all laws, all scored the same way. This page was written "
-        f"by `testbed benchmark{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
+        f"by `testbed benchmark{options}`: {counted(runs, 'run')} on {rigs}, {seeds} "
         f"per cell, flown by airbearing-testbed {record.version}{code}. "
         f"`{name}` has the scenarios and the laws' gains, which were not tuned for it; "
         "[campaigns.md](campaigns.md) says how to fly it on a table. The page has no date, "
@@ -119,7 +120,7 @@ def scenarios(path: Path, file: BenchmarkFile) -> Iterator[str]:
         overrides = [text for text in scenario.set if assignment(text)[0][0] != "criteria"]
         if overrides:  # criteria are among the limits
             what += f", with {', '.join(f'`{text}`' for text in overrides)}"
-        many = plural(len(flown.vehicles), "vehicle")
+        many = counted(len(flown.vehicles), "vehicle")
         limits = ", ".join(bounds(scenario, flown)) or "the end of the run"
         yield f"**{name}**: {what}; {many}, {flown.duration_s:g} s. Passed: {limits}."
 
@@ -186,11 +187,6 @@ def unseen(row: Score, scenario: BenchmarkScenario) -> bool:
     keys = [assignment(text)[0] for text in scenario.set]
     rigs = row.rig.split(" + ")
     return bool(scenario.hardware) and any(not plays(rig, key) for rig in rigs for key in keys)
-
-
-def plural(count: int, noun: str) -> str:
-    """Count and noun, as in "2 runs"."""
-    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def wrapped(text: str, indent: str = "") -> str:

@@ -13,11 +13,12 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table as Grid
 
-from testbed.cli.counted import counted
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
+from testbed.cli.tracked import tracked
 from testbed.config import ConfigError, Experiment, find, load
+from testbed.core.spelling import counted
 from testbed.metrics.admission import (
     Admission,
     AdmissionFlight,
@@ -86,7 +87,7 @@ def run_admission(
     seeds = range(experiment.seed, experiment.seed + flights)
     words = "flying in the twin (the first flight compiles)"
     with redirect_stdout(sys.stderr):
-        admission = admit(experiment, counted(seeds, words, flights))
+        admission = admit(experiment, tracked(seeds, words, flights))
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")
     else:
@@ -107,8 +108,7 @@ def command(name: str, overrides: Sequence[str]) -> str:
 def print_admission(admission: Admission, again: str = "testbed run --seed") -> None:
     """Print the worst value of each limit, the flights that broke one, and the verdict."""
     out = Console(highlight=False)
-    flights = "1 flight" if admission.flights == 1 else f"{admission.flights} flights"
-    title = f"{admission.experiment}, {flights} in the twin"
+    title = f"{admission.experiment}, {counted(admission.flights, 'flight')} in the twin"
     grid = Grid(title=title, title_justify="left", title_style="bold")
     for heading in ("", "worst", "seed"):
         grid.add_column(heading)

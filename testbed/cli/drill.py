@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Grid
 
-from testbed.cli.counted import counted
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
+from testbed.cli.tracked import tracked
 from testbed.config import ConfigError, find, load
 from testbed.faults.drill import (
     Drill,
@@ -40,10 +40,10 @@ def run_drill(
             from testbed.run.drill_on_wires import drill_wires
 
             count = injections or len(cases_of(rig, len(first.vehicles)))
-            found = counted(drill_wires(count, seed, report, names[0]), "drilling", count)
+            found = tracked(drill_wires(count, seed, report, names[0]), "drilling", count)
         else:
             count = injections or 540
-            found = counted(drill_twin(count, seed, jobs, names), "drilling", count)
+            found = tracked(drill_twin(count, seed, jobs, names), "drilling", count)
         cases = list(found)
     except ConfigError as error:
         return refuse(error)

@@ -34,16 +34,16 @@ def film(
     video: Path | None, offset: float,
 ) -> None:  # fmt: skip
     """Make a film of a RUN: vehicles, plumes, trails, events."""
-    from testbed.cli.counted import counted
     from testbed.cli.exit_code import OK
     from testbed.cli.refusal import refuse, warn
+    from testbed.cli.tracked import tracked
     from testbed.core.error import TestbedError
     from testbed.run.film import make_film
 
     try:
         path = make_film(
             run, out, speed, width, warn, video, offset,
-            watch=lambda frames, count: counted(frames, "drawing the film", count),
+            watch=lambda frames, count: tracked(frames, "drawing the film", count),
         )  # fmt: skip
     except (TestbedError, OSError) as error:
         context.exit(refuse(error))

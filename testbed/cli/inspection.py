@@ -1,7 +1,7 @@
 """Read-only verbs: `check`, `list`, `schema`."""
 
 import sys
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -23,6 +23,7 @@ from testbed.config.law_demand import asks_too_much
 from testbed.config.plausibility import doubts_of
 from testbed.config.thresholds import WORDS, words_in, worked_out
 from testbed.config.unmeasured import never_measured
+from testbed.core.spelling import counted
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 
@@ -41,8 +42,8 @@ def check_experiment(
     out.print(f"ok: {path}", markup=False, soft_wrap=True)
     say(
         out,
-        f"  {counted(experiment.vehicles, 'vehicle')}, "
-        f"{counted(experiment.obstacles, 'obstacle')}, "
+        f"  {counted(len(experiment.vehicles), 'vehicle')}, "
+        f"{counted(len(experiment.obstacles), 'obstacle')}, "
         f"law {law} in {experiment.guidance.mode} mode on the {experiment.deploy.law}, "
         f"{experiment.duration_s:g} s in {experiment.ticks} jet periods",
     )
@@ -93,11 +94,6 @@ def print_defaults(given: Experiment, out: Console) -> None:
             own = getattr(own, str(part))
         differs = "" if own == value else f"; the file has {own:.4g}"
         say(out, f"  {spell(key)} {value:.4g}: {how}{differs}")
-
-
-def counted(things: Sized, word: str) -> str:
-    """Count and noun, as in "1 vehicle" and "2 vehicles"."""
-    return f"{len(things)} {word}{'s' * (len(things) != 1)}"
 
 
 def _first_comment(path: Path) -> str:

@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
-from testbed.cli.counted import LINE_S
+from testbed.cli.tracked import LINE_S
 from testbed.config import Experiment
 from testbed.flight.flown_tick import AnyTick
 from testbed.report.fault_story import STOPPING_TOO

@@ -21,9 +21,9 @@ from rich.progress import (
 
 from testbed.campaign.flight import CampaignObserver
 from testbed.campaign.row import FlownRun
-from testbed.cli.counted import LINE_S
 from testbed.cli.live import CALM
 from testbed.cli.refusal import errors
+from testbed.cli.tracked import LINE_S
 
 LOOK_S = 5.0  # interval of counting workers, at a terminal [s]
 NO_WORKERS = "no workers yet; waiting"

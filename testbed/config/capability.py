@@ -9,6 +9,7 @@ from testbed.config.experiment import Experiment
 from testbed.config.fit import ability
 from testbed.config.plausibility import gas_to_goal, quickest_s
 from testbed.core.pulse import open_time, timing
+from testbed.core.spelling import counted
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import in_numbers, weakest
 from testbed.flight.parameters import SPARE_FORCE
@@ -24,7 +25,7 @@ def abilities(experiment: Experiment, name: str) -> Iterator[str]:
     model = setup.model
     along_x, along_y, torque = pure(model)
     force = min(along_x, along_y)
-    jets = f"{len(model.jets)} jet{'s' * (len(model.jets) != 1)}"
+    jets = counted(len(model.jets), "jet")
     words = f"{jets}, {force:.2f} N per axis, {torque:.3g} N m, {force / model.mass:.2g} m/s^2"
     goes = setup.path is None and not has_formation(experiment.controller)
     if goes:

@@ -21,6 +21,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from testbed.core.error import TestbedError
 from testbed.core.records.definition import OURS as OUR_MESSAGES
+from testbed.core.spelling import counted
 from testbed.logs.mcap_record import (
     HEAD,
     LARGEST,
@@ -85,12 +86,8 @@ class Damage(NamedTuple):
             what = "the flight" if self.since is None else f"the flight after {begin:.2f} s"
             return f"{place}: {what} is missing"
         said = f"{place}: {max(0.0, self.until - begin):.2f} s of flight ({begin:.2f} s to "
-        counted = (
-            ""
-            if self.messages is None
-            else f", {self.messages} message{'s' * (self.messages != 1)}"
-        )
-        return f"{said}{self.until:.2f} s) are missing{counted}"
+        lost = "" if self.messages is None else f", {counted(self.messages, 'message')}"
+        return f"{said}{self.until:.2f} s) are missing{lost}"
 
 
 class LogReader:

@@ -1,4 +1,4 @@
-"""Shows how many of some items are done."""
+"""Progress of a loop: a bar at a terminal, lines without one."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -12,7 +12,7 @@ LINE_S = 60.0  # interval of lines without a terminal [s]
 Item = TypeVar("Item")
 
 
-def counted(items: Iterable[Item], words: str, total: int) -> Iterator[Item]:
+def tracked(items: Iterable[Item], words: str, total: int) -> Iterator[Item]:
     """The items; a bar at a terminal, otherwise a line once a minute, both on standard error."""
     if errors.is_terminal:
         yield from track(items, words, total, console=errors, transient=True)
