@@ -28,9 +28,10 @@ from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 
+from testbed.cli.exit_code import BAD_INPUT, FAULT, INTERRUPTED
+from testbed.core.error import TestbedError
 from testbed.realtime.heartbeat import SIZE, Heartbeat, RunPhase, attach
 
-BAD_INPUT, FAULT, INTERRUPTED = 2, 3, 130
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 HEARD = {*STOPS, signal.SIGCHLD}
 LOOK_S = 0.05
@@ -219,7 +220,8 @@ class ProcessSupervisor:
         if self._asked and not heartbeat.folder:
             return INTERRUPTED
         if heartbeat.phase is RunPhase.READING and heartbeat.inside is not None:
-            say(f"error: the file of the law\n  expected  a readable law\n  found     {fault}")
+            where, expected = "the file of the law", "a readable law"
+            say(f"error: {TestbedError(where=where, expected=expected, found=fault)}")
             return BAD_INPUT
         if not heartbeat.folder:  # the child has printed its error, or the operator stopped it
             return INTERRUPTED if code in (-n for n in STOPS) else code if code > 0 else FAULT

@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import NoReturn
 
+from testbed.cli.exit_code import BAD_INPUT, INTERRUPTED, OUR_FAULT
+
 SUPERVISED = ("run", "check")
-INTERRUPTED = 130
-UNFINISHED = (2, 70)  # exit codes of a run that could not write its files, or of an internal error
+UNFINISHED = (BAD_INPUT, OUR_FAULT)  # of a run that could not write its files, or of an error here
 PRIORITY = 90  # above hosts, vehicles and the twin
 
 
