@@ -16,6 +16,7 @@ from testbed.cli.operator import Operator
 from testbed.cli.refusal import errors, refuse, warn
 from testbed.cli.result import code_of, print_result
 from testbed.cli.screen import say
+from testbed.cli.viewers import Viewers
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
@@ -61,7 +62,7 @@ def run_experiment(
     console: int | None = None,
 ) -> int:
     """Fly an experiment; return the exit code."""
-    interrupt, board, page, ros2, folder = Interrupt(), None, None, None, None
+    interrupt, viewers, folder = Interrupt(), None, None
     operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
     if (view is not None or console is not None) and speed is None:
         speed = 1.0  # real time, for the viewer
@@ -70,31 +71,17 @@ def run_experiment(
             experiment = load(find(name), overrides)
         if here:
             experiment = on_this_machine(experiment, rig)
-        models = {name: setup.model for name, setup in experiment.vehicles.items()}
+        models = {vehicle: setup.model for vehicle, setup in experiment.vehicles.items()}
         check_boards(experiment.board, models, rig)
         operator.must_be_there(rig)
-        if view is None and (port or (bind and console is None)):
-            found = f"--bind {bind}" if bind else f"--port {port}"
-            expected = "--web or --view, which it belongs to"
-            raise ConfigError("command line", "", expected, found)
+        viewers = Viewers(view, console, bind, port)
         with interrupt.caught(), watched(experiment), ExitStack() as stack, ExitStack() as note:
             folder = new_folder(out, experiment.name)
             note.enter_context(noted_here(rig, experiment, folder))
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             own = heartbeat()
             own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
-            if view is not None:
-                from testbed.cli.dash import beside_run
-
-                board = beside_run(folder, view, bind or "127.0.0.1", port)
-            if console is not None:
-                from testbed.cli.console import page_beside
-
-                page = page_beside(folder, bind or "127.0.0.1", console)
-            if experiment.table.lab.network.ros2:
-                from testbed.cli.ros2 import publisher_beside
-
-                ros2 = publisher_beside(folder, experiment.table.lab.network)
+            viewers.start(experiment, folder)
             live = None if console is None else stack.enter_context(opened(experiment, folder))
             make = maker(rig, experiment, folder, operator, live)
             # without a terminal, a flight in real time prints status lines
@@ -113,24 +100,14 @@ def run_experiment(
                 print_result(metrics, experiment, folder)
             report(folder, experiment)
     except (ConfigError, ViewerError, UnusableLawError, LawError) as error:
-        for one in (board, page, ros2):
-            if one is not None:
-                one.terminate()
-                one.wait()
+        if viewers is not None:
+            viewers.end()
         if folder is not None:
             take_back(folder)
         return refuse(error)
     except FolderError as error:
         return refuse(error)
-    if ros2 is not None:
-        from testbed.cli.ros2 import end
-
-        end(ros2)
-    pages = [one for one in (board if view == "web" else None, page) if one is not None]
-    if pages:
-        from testbed.cli.dash import leave
-
-        leave(pages)
+    viewers.finish()
     for check in metrics.red:
         say(errors, f"red: {check.words}", "red")
     return code_of(metrics)
