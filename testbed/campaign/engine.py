@@ -64,9 +64,10 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     """
     if scheduler is None and jobs > (most := most_workers()):
         raise EngineError(
-            f"--jobs {jobs}\n  expected  at most {most}: a worker takes {WORKER_GB:g} GB of "
-            f"memory; more than this machine's {os.cpu_count()} cores fly no faster\n"
-            f"  found     {jobs}"
+            where=f"--jobs {jobs}",
+            expected=f"at most {most}: a worker takes {WORKER_GB:g} GB of memory; "
+            f"more than this machine's {os.cpu_count()} cores fly no faster",
+            found=str(jobs),
         )
     with needs_extra("campaign"):
         import dask
@@ -94,18 +95,18 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
                     client = stack.enter_context(Client(cluster))
                 except (OSError, RuntimeError) as error:
                     raise EngineError(
-                        f"--jobs {jobs}\n  expected  to start {jobs} processes with about ten open "
-                        f"files each\n  found     {error}"
-                    ) from None
+                        where=f"--jobs {jobs}", found=str(error),
+                        expected=f"to start {jobs} processes with about ten open files each",
+                    ) from None  # fmt: skip
                 yield client
             return
         try:
             client = Client(scheduler, timeout="10s")
         except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
             raise EngineError(
-                f"--scheduler {scheduler}\n  expected  a Dask scheduler, for instance "
-                "tcp://10.0.0.1:8786\n"
-                f"  found     {error or 'no answer within 10 s'}"
+                where=f"--scheduler {scheduler}",
+                expected="a Dask scheduler, for instance tcp://10.0.0.1:8786",
+                found=str(error) or "no answer within 10 s",
             ) from None
         with client:
             _same_code(client, scheduler)
@@ -115,15 +116,13 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
 def _same_code(client: Any, scheduler: str) -> None:
     digests = client.run(code_digest, on_error="return")
     if not digests:
-        raise EngineError(
-            f"{scheduler}\n  expected  workers\n  found     a scheduler without workers"
-        )
+        raise EngineError(where=scheduler, expected="workers", found="a scheduler without workers")
     for address, digest in digests.items():
         if digest != code_digest():
             raise EngineError(
-                f"{scheduler}\n  expected  workers with the code of this machine, {code_digest()}\n"
-                f"  found     {digest} on {address}"
-            )
+                where=scheduler, found=f"{digest} on {address}",
+                expected=f"workers with the code of this machine, {code_digest()}",
+            )  # fmt: skip
 
 
 @contextmanager
@@ -224,9 +223,9 @@ class WorkerPool(Generic[Task, Result]):
                 results = future.result()
             except (OSError, CancelledError, FutureCancelled) as error:
                 raise EngineError(
-                    f"the cluster is gone\n  expected  workers until the end\n"
-                    f"  found     {error or type(error).__name__}; the same command resumes"
-                ) from None
+                    where="the cluster is gone", expected="workers until the end",
+                    found=str(error) or type(error).__name__, hint="the same command resumes",
+                ) from None  # fmt: skip
             except KilledWorker:
                 if not alone:  # the culprit is in this batch, or was queued beside it
                     suspects += reversed(batch)
@@ -238,11 +237,10 @@ class WorkerPool(Generic[Task, Result]):
                 results = [self._lost(batch[0])]
             except Exception as error:  # errors of a run are in its result, so the worker failed
                 raise EngineError(
-                    "a worker cannot fly\n"
-                    f"  expected  workers with the code of this machine, {code_digest()}\n"
-                    f"  found     {type(error).__name__}: {error}; without it, the same command "
-                    "resumes"
-                ) from None
+                    where="a worker cannot fly", found=f"{type(error).__name__}: {error}",
+                    expected=f"workers with the code of this machine, {code_digest()}",
+                    hint="without that worker, the same command resumes",
+                ) from None  # fmt: skip
             for result in results:
                 self._pace += 0.3 * (self._took(result) - self._pace)
                 yield result

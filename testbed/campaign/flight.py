@@ -97,8 +97,9 @@ def make_folder(folder: Path) -> None:
     except OSError as error:
         found = "a file" if folder.is_file() else error.strerror
         raise JournalError(
-            f"{folder}\n  expected  a writable folder; choose another with --out\n"
-            f"  found     {found}"
+            where=str(folder),
+            expected="a writable folder; choose another with --out",
+            found=str(found),
         ) from None
 
 

@@ -89,9 +89,10 @@ class Journal(Generic[Message]):
         ):
             if not is_so:
                 raise JournalError(
-                    f"{self._path}: the {what} changed since these {len(lines) - 1} runs were "
-                    f"flown\n  expected  no change, or another folder (--out)\n"
-                    f"  found     {found()}: runs of both would be mixed"
+                    where=f"{self._path}: the {what} changed since these {len(lines) - 1} runs "
+                    "were flown",
+                    expected="no change, or another folder (--out)",
+                    found=f"{found()}: runs of both would be mixed",
                 )
         for number, line in enumerate(lines[1:], 2):
             yield self._read(line, number, self._kind)
@@ -103,13 +104,13 @@ class Journal(Generic[Message]):
                 return msgspec.json.decode(text, type=kind)
         except (ValueError, msgspec.DecodeError):
             pass
-        cure = "delete the line to fly its run again, or start anew"
+        cure = "delete the line to fly its run again, or start anew (--out)"
         if kind is Head:
-            cure = "start anew"
+            cure = "start anew (--out)"
         raise JournalError(
-            f"{self._path}: line {number} is damaged\n  expected  an undamaged journal\n"
-            f"  found     {line[:60].decode(errors='replace')!r}; {cure} (--out)"
-        )
+            where=f"{self._path}: line {number} is damaged", expected="an undamaged journal",
+            found=repr(line[:60].decode(errors="replace")), hint=cure,
+        )  # fmt: skip
 
     def _append(self, message: Struct) -> None:
         text = msgspec.json.encode(message)

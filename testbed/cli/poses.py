@@ -18,6 +18,7 @@ from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say
 from testbed.config import ConfigError, Experiment, find, load
+from testbed.core.error import TestbedError
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes, Exposure, MocapSource
@@ -140,9 +141,8 @@ def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> i
         sender, address = where(experiment)
         found = getattr(source, "complaint", "")  # not every system can tell
         found = found or "no poses: check that it streams to this address and passes the firewall"
-        return refuse(
-            f"{sender}\n  expected  poses that arrive at {address}\n  found     {found}", FAILED
-        )
+        expected = f"poses that arrive at {address}"
+        return refuse(TestbedError(where=sender, expected=expected, found=found), FAILED)
     out.print(room.picture(looked))  # as of the last poll
     for vehicle, body in room.missing().items():
         say(

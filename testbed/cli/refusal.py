@@ -9,6 +9,7 @@ from rich.console import Console
 
 from testbed.cli.exit_code import BAD_INPUT, OUR_FAULT
 from testbed.cli.screen import say
+from testbed.core.error import TestbedError
 
 LABEL = 12  # characters of "  expected  "
 
@@ -33,12 +34,12 @@ def warn(lines: Iterable[str]) -> None:
 def print_internal_error() -> int:
     """Print the traceback of an internal error; returns the exit code."""
     errors.print(traceback.format_exc().rstrip(), markup=False, soft_wrap=True)
-    text = (
-        "error: internal error; your files are not the cause\n"
-        "  expected  no exception\n"
-        "  found     the traceback above; please report it with the command and `testbed --version`"
-    )
-    errors.print(laid_out(text), style="red", markup=False, soft_wrap=True)
+    text = TestbedError(
+        where="internal error; your files are not the cause", expected="no exception",
+        found="the traceback above",
+        hint="please report it with the command and `testbed --version`",
+    )  # fmt: skip
+    errors.print(laid_out(f"error: {text}"), style="red", markup=False, soft_wrap=True)
     return OUR_FAULT
 
 
@@ -67,4 +68,4 @@ def of_the_disk(error: OSError) -> str:
         expected = (
             "a new file, because nothing is overwritten; remove it, or name another with --out"
         )
-    return f"{place}\n  expected  {expected}\n  found     {error.strerror}"
+    return str(TestbedError(where=str(place), expected=expected, found=str(error.strerror)))

@@ -131,9 +131,9 @@ def same_version(book: LogReader, topic: str) -> None:
     kind, text = book.kinds[topic], book.texts[topic]
     if text and kind in MESSAGES and _layout(text) != _layout(schema_text(kind)):
         raise LogError(
-            f"{book.path}: {topic}\n  expected  messages {kind} of this version\n"
-            "  found     another version of them; `testbed export` reads it"
-        )
+            where=f"{book.path}: {topic}", expected=f"messages {kind} of this version",
+            found="another version of them", hint="`testbed export` reads it",
+        )  # fmt: skip
 
 
 def _layout(text: str) -> str:

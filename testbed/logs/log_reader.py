@@ -245,9 +245,10 @@ class LogReader:
 
     def _refused(self, error: ChunkTooLargeError) -> LogError:
         return LogError(
-            f"{self.path}\n  expected  chunks of at most {LARGEST >> 20} MB, and a log of at most "
-            f"{RATIO} times the size of its file\n  found     {error} bytes"
-        )
+            where=str(self.path), found=f"{error} bytes",
+            expected=f"chunks of at most {LARGEST >> 20} MB, and a log of at most {RATIO} times "
+            "the size of its file",
+        )  # fmt: skip
 
     def _resume(self, file: BinaryIO, size: int, *, is_damage: bool) -> list[Record] | None:
         """Continue at the next intact chunk, or at the proper end of the file."""
@@ -383,9 +384,9 @@ def log_of(run: Path) -> Path:
         return run
     if not any((run / name).exists() for name in ("log.mcap", "config.toml")):
         raise LogError(
-            f"{run}\n  expected  a run folder, with a log.mcap and a config.toml in it\n"
-            "  found     neither"
-        )
+            where=str(run), found="neither",
+            expected="a run folder, with a log.mcap and a config.toml in it",
+        )  # fmt: skip
     return run / "log.mcap"
 
 

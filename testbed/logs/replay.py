@@ -171,9 +171,9 @@ def before_damage(book: LogReader) -> Iterator[Row]:
         yield row
     if book.lost and not begun:
         raise LogError(
-            f"{book.path}\n  expected  a log that is whole from its beginning to some tick\n"
-            "  found     damage before the first tick; later ticks depend on the missing part"
-        )
+            where=str(book.path), expected="a log that is whole from its beginning to some tick",
+            found="damage before the first tick; later ticks depend on the missing part",
+        )  # fmt: skip
 
 
 def _known(steps: Mapping[str, Any], name: str, topic: str) -> Any:
@@ -192,9 +192,9 @@ def _readable(topic: str, stamp: int) -> Iterator[None]:
         yield
     except UNREADABLE as error:
         raise LogError(
-            f"{topic} at {stamp * 1e-9:.3f} s\n  expected  a message of this version\n"
-            f"  found     {error}"
-        ) from None
+            where=f"{topic} at {stamp * 1e-9:.3f} s", expected="a message of this version",
+            found=str(error),
+        ) from None  # fmt: skip
 
 
 def difference(then: Any, now: Any, path: str = "") -> tuple[str, Any, Any, float | None] | None:

@@ -80,9 +80,9 @@ def write_report(
         paths[0].write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(
-            f"{error.filename or paths[-1]}\n  expected  a writable path\n"
-            f"  found     {error.strerror}"
-        ) from None
+            where=str(error.filename or paths[-1]), expected="a writable path",
+            found=str(error.strerror),
+        ) from None  # fmt: skip
     return paths
 
 
@@ -370,5 +370,5 @@ def read_metrics(folder: Path) -> Metrics:
         raise ReportError(f"{path}: {error.strerror}") from None
     except msgspec.DecodeError as error:
         raise ReportError(
-            f"{path}\n  expected  the metrics of a run\n  found     {error}"
+            where=str(path), expected="the metrics of a run", found=str(error)
         ) from None

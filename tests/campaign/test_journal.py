@@ -62,8 +62,10 @@ def test_without_the_damaged_line_its_run_is_the_only_one_that_is_missing(path):
     path.write_bytes(b"".join(lines[:3] + lines[4:]))
     assert read(path) == RUNS[:2] + RUNS[3:]
     path.write_bytes(b"hello\n" + b"".join(lines[1:]))
-    with pytest.raises(JournalError, match="'hello'; start anew"):
+    with pytest.raises(JournalError) as refused:
         read(path)
+    assert refused.value.where == f"{path}: line 1 is damaged"
+    assert (refused.value.found, refused.value.hint) == ("'hello'", "start anew (--out)")
 
 
 @pytest.mark.parametrize(

@@ -249,3 +249,17 @@ def test_every_dependency_is_pinned_to_a_version_that_satisfies_it():
         if not requirement.specifier.contains(pinned.get(canonicalize_name(requirement.name), "0"))
     ]
     assert unmet == []
+
+
+def test_only_the_base_class_of_errors_knows_their_layout():
+    """A message with `expected` in its text has empty fields for a caller in Python."""
+    written = re.compile(r"  (expected|found|hint) {2,}")
+    found = [
+        f"{name_of(path)}:{node.lineno}"
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and written.search(node.value)
+    ]
+    assert found == []
