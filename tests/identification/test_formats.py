@@ -33,7 +33,7 @@ def as_mat(path, head, rows):
 
 def as_mcap(path, head, rows):
     cells = ({"log": dict(zip(head, map(float, row), strict=True))} for row in rows)
-    write_mcap(path, "/log", ((row["log"]["t_s"], row) for row in cells))
+    write_mcap(path, ["/log"], ((row["log"]["t_s"], row) for row in cells))
 
 
 @pytest.mark.parametrize(("suffix", "write"), [(".mat", as_mat), (".mcap", as_mcap)])

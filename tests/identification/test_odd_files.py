@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.io import savemat
 
 from lab_mcap import write_mcap
 from testbed.cli.main import main
@@ -167,7 +168,50 @@ def test_of_two_topics_one_must_be_named(files, tmp_path):
     head, rows = rows_of(files[1])
     path = tmp_path / "two.mcap"
     cells = (dict(zip(head, map(float, row), strict=True)) for row in rows)
-    write_mcap(path, "/state", ((row.pop("t_s"), row) for row in cells))
+    write_mcap(path, ["/red", "/black"], ((row["t_s"], row) for row in cells))
+    with pytest.raises(LogRefusedError, match="/red, /black"):
+        read(path, files[0])
+    named = changed(files, tmp_path, "[time]", 'topic = "/red"\n[time]')
+    np.testing.assert_allclose(read(path, named).pose, read(files[1], files[0]).pose, atol=1e-9)
+    with pytest.raises(LogRefusedError, match="the topics are"):
+        read(path, changed(files, tmp_path, "[time]", 'topic = "/blue"\n[time]'))
+
+
+def test_a_column_of_dates_does_not_hide_decimal_commas(files, tmp_path):
+    mapping, log, _ = files
+    head, *lines = in_german(text_of(*rows_of(log))).splitlines()
+    path = tmp_path / "dated.csv"
+    path.write_text("\n".join([f"{head};day", *(f"{line};27.11.2026" for line in lines)]))
+    np.testing.assert_array_equal(read(path, mapping).pose, read(log, mapping).pose)
+
+
+@pytest.mark.parametrize("lost", [["0", "0", "0", "0"], ["inf", "0", "0", "1"]])
+def test_a_lost_body_is_no_pose(files, turned, tmp_path, lost):
+    mapping = changed(files, tmp_path, 'theta = "theta_rad"', QUATERNION)
+    head, rows = rows_of(turned)
+    first = head.index("qx")
+    for row in rows[10:200:10]:
+        row[first : first + 4] = lost
+    path = tmp_path / "lost.csv"
+    path.write_text(text_of(head, rows))
+    assert len(read(turned, mapping).t) - len(read(path, mapping).t) == 19
+
+
+def test_upper_case_suffixes_are_those_of_a_matlab_file(files, tmp_path):
+    mapping, log, _ = files
+    head, rows = rows_of(log)
+    table = np.array(rows, dtype=float)
+    path = tmp_path / "LOG.MAT"
+    savemat(path, {name: table[:, k] for k, name in enumerate(head)}, appendmat=False)
+    np.testing.assert_array_equal(read(path, mapping).pose, read(log, mapping).pose)
+
+
+def test_the_times_of_a_labs_mcap_are_its_own_and_it_needs_a_mapping(files, tmp_path):
+    mapping, log, _ = files
+    path = tmp_path / "lab.mcap"
+    head, rows = rows_of(log)
+    cells = (dict(zip(head, map(float, row), strict=True)) for row in rows)
+    write_mcap(path, ["/state"], ((row.pop("t_s"), row) for row in cells))
     np.testing.assert_allclose(read(path, mapping).t, read(log, mapping).t, atol=1e-6)
     words = ["calibrate", "motion", str(path), "--vehicle", "generic_8jet", "--json"]
     result = CliRunner().invoke(main, words)
