@@ -176,14 +176,14 @@ class Flow:
     """The stage `flow`."""
 
     def __init__(self, vehicle, period):
-        self.begun, self.period = np.zeros(len(vehicle.jets)), period
+        (self.begun, self.after), self.period = np.zeros((2, len(vehicle.jets))), period
         self.model = fired.model_of(vehicle)
 
     def of(self, command):
         """Without and with droop, (2, jets)."""
         times, share = np.array(command.on_us + command.offset_us, float), np.zeros((2, 8))
         whole, none = np.ones(8), np.zeros(8)
-        flow.flow_shares(times, self.begun, self.model, whole, none, self.period, share)
+        flow.flow_shares(times, self.begun, self.after, self.model, whole, none, self.period, share)
         return share
 
 

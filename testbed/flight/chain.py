@@ -205,8 +205,9 @@ def plan(p, memory, row, wrench, thrust_scale):
     starts, ends = told.t + p.command_delay, told.t + period + p.command_delay
     note(memory.fired, starts, ends, memory.times)
     flow_shares(
-        memory.times, memory.begun, p.model, fired.gives, fired.leaks, period, memory.flowed
-    )
+        memory.times, memory.begun, memory.after, p.model, fired.gives, fired.leaks, period,
+        memory.flowed,
+    )  # fmt: skip
     m.gas_used = online.gas_used(
         p.online, m.gas_used, told.tank_pressure, memory.flowed[1], thrust_scale, period
     )

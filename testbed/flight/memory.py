@@ -55,6 +55,7 @@ class Memory(NamedTuple):
     counters: Counters  # of the fault table
     carried: Carried  # by the modulator
     begun: Array  # on-time so far of a pulse that may continue, (jets,) [s]
+    after: Array  # see flow.flow_shares, (jets,) [s]
     flown: Array  # see estimator.predict_mean, (2, jets)
     flowed: Array  # see flow.flow_shares, of the last period, (2, jets)
     times: Array  # of the last plan: on, then offset, (2 jets,), whole [us]
@@ -88,7 +89,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
         Memory: [
-            one_a_jet, (2, jets), (2, jets), (2 * jets,),
+            one_a_jet, one_a_jet, (2, jets), (2, jets), (2 * jets,),
             (m, m + 1), (1, m + 2, width_of(jets)), (1,), (1,), (2,), (3,), one_a_jet,
         ],
     }  # fmt: skip
@@ -110,9 +111,9 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
     innovations.gives[:] = 1.0
-    begun, flown, flowed, times, *always, named = views[Memory]
+    begun, after, flown, flowed, times, *always, named = views[Memory]
     memory = Memory(
-        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, flown,
-        flowed, times, Window(*always), named,
+        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, after,
+        flown, flowed, times, Window(*always), named,
     )  # fmt: skip
     return memory, everything

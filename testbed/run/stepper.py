@@ -135,10 +135,10 @@ class Twin:
             name = node.name
             self._links[name].asked = setpoints[name]
             memory = self._agents[name].memory
-            begun = memory.begun.copy()
+            begun, after = memory.begun.copy(), memory.after.copy()
             tick = node.tick(self.t, armed=True)
             if pulses is not None and tick.outputs.inhibit_reason is None:
-                memory.begun[:] = begun
+                memory.begun[:], memory.after[:] = begun, after
                 tick = self._instead(name, tick, *pulses[name])
             self._boards[name].play(tick.outputs.command)
             ticks[name] = tick
@@ -159,8 +159,9 @@ class Twin:
         memory.fired.on[-1], memory.fired.offset[-1] = 1e-6 * np.array((on, offset))
         fired, model = memory.fired, agent.params.model
         flow_shares(
-            times, memory.begun, model, fired.gives, fired.leaks, self.period, memory.flowed
-        )
+            times, memory.begun, memory.after, model, fired.gives, fired.leaks, self.period,
+            memory.flowed,
+        )  # fmt: skip
         command = replace(tick.outputs.command, on_us=on, offset_us=offset)
         return replace(tick, outputs=replace(tick.outputs, command=command))
 

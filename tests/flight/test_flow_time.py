@@ -56,14 +56,40 @@ def test_a_slow_valve_lets_less_through_than_it_is_commanded(vehicle):
     assert flow.of(short)[0, 0] == pytest.approx((0.030 - 0.025 + 0.015 - 0.001) / PERIOD)
 
 
-def test_a_pulse_that_goes_on_loses_nothing_until_it_ends(vehicle):
+def test_what_a_pulse_loses_counts_in_its_last_plan_unless_it_goes_on(vehicle):
     vehicle = replace(vehicle, valve=replace(vehicle.valve, **SLOW))
     flow, none = Flow(vehicle, PERIOD), (0,) * 7
     whole = ValveCommand(0, 0.0, PERIOD, (100_000, *none), (0, *none))
     shut = ValveCommand(1, PERIOD, 2 * PERIOD, (0, *none), (0, *none))
-    assert [flow.of(whole)[0, 0], flow.of(whole)[0, 0]] == pytest.approx([1.0, 1.0])
-    assert flow.of(shut)[0, 0] == pytest.approx(-0.011 / PERIOD)
-    assert flow.of(shut)[0, 0] == 0.0
+    told = [flow.of(plan)[0, 0] for plan in (whole, whole, shut, shut)]
+    assert told == pytest.approx([1.0 - 0.011 / PERIOD, 1.0, 0.0, 0.0])
+
+
+def test_the_gas_of_a_valve_that_closes_slowly_counts_when_it_comes(vehicle):
+    valve = replace(vehicle.valve, open_delay_s=0.005, close_delay_s=0.025)
+    flow, none = Flow(replace(vehicle, valve=valve), PERIOD), (0,) * 7
+    late = ValveCommand(0, 0.0, PERIOD, (30_000, *none), (65_000, *none))
+    shut = ValveCommand(1, PERIOD, 2 * PERIOD, (0, *none), (0, *none))
+    told = [flow.of(plan)[0, 0] for plan in (late, shut, shut)]
+    assert told == pytest.approx([0.034 / PERIOD, 0.016 / PERIOD, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("opens", "closes"), [(0.006, 0.006), (0.025, 0.004), (0.004, 0.025)])
+def test_a_plans_share_is_what_the_estimate_gains_by_it(seed, opens, closes, vehicle):
+    valve = replace(vehicle.valve, open_delay_s=opens, close_delay_s=closes)
+    vehicle = replace(vehicle, valve=valve, air=replace(vehicle.air, droop=0.0))
+    jets, model = len(vehicle.jets), model_of(vehicle)
+    plain = [np.full(60, -np.inf) for _ in range(2)], [np.zeros((60, jets)) for _ in range(3)]
+    fired = Fired(*plain[0], *plain[1], np.ones(jets), np.zeros(jets))
+    flow, flowed, before = Flow(vehicle, PERIOD), np.zeros(jets), np.zeros(jets)
+    for command in plans(np.random.default_rng(seed), jets, 30):
+        start, end = command.issued_at, command.valid_until
+        note(fired, start, end, np.array(command.on_us + command.offset_us, float))
+        # the estimate for the period's end knows no later plan
+        mean_wrench(fired, model, flowed, 0.0, end + opens)
+        np.testing.assert_allclose(PERIOD * flow.of(command)[0], flowed - before, atol=1e-6)
+        before[:] = flowed
 
 
 STEP = 0.01  # the estimator's [s]
