@@ -187,16 +187,19 @@ def pulse_frequency(p, carried, j, duty):
     Lag filter f' = (gain (duty - y) - f) / lag, y = 1 from f > trigger_on to f < trigger_off.
     """
     value, period, begin = carried.filter[j], p.period, 0.0
+    shortest = min(p.min_on, period)  # a valve that closes slowly may flow for longer than that
     shut, opened = p.gain * duty, p.gain * (duty - 1.0)  # targets of the filter
     if carried.open[j] == 0.0:
         begin = max(crossing(value, shut, p.trigger_on, 1.0, p.lag), carried.rest[j])
-        if begin > period - p.min_on:  # the rest of the period is too short
+        if begin > period - shortest:  # the rest of the period is too short
             carried.filter[j] = lagged(value, shut, period, p.lag)
             carried.rest[j] = max(0.0, carried.rest[j] - period)
             return 0.0, 0.0
         value = lagged(value, shut, begin, p.lag)
+    elif shortest == period:
+        shortest = 0.0  # it has been open for a whole plan, and may close
     left = period - begin
-    width = max(crossing(value, opened, p.trigger_off, -1.0, p.lag), p.min_on)
+    width = max(crossing(value, opened, p.trigger_off, -1.0, p.lag), shortest)
     if width < left:  # closes inside the period; the filter recovers in the rest of it
         value = lagged(value, opened, width, p.lag)
         carried.filter[j] = lagged(value, shut, left - width, p.lag)

@@ -297,6 +297,18 @@ def test_pwpf_waits_for_the_pause_of_a_slow_valve(vehicle, duty, period):
     assert (gaps(on, offset, period) >= least - HAIR).all()
 
 
+@pytest.mark.parametrize("duty", [0.1, 0.5, 0.9])
+def test_pwpf_fires_where_the_shortest_pulse_flows_for_more_than_a_period(vehicle, duty):
+    slow = with_valve(
+        vehicle, open_delay_s=0.005, close_delay_s=0.02, min_on_s=0.011, min_off_s=0.018
+    )
+    modulator = Modulator(PwpfParams(), slow, 0.02)
+    modulator.p = planner_of(PwpfParams(), slow, 0.02).modulator
+    assert modulator.p.min_on > 0.02
+    on, _ = fire(modulator, duty, 2000)
+    assert on.mean() / 0.02 == pytest.approx(duty, abs=0.05)
+
+
 @pytest.mark.parametrize("duty", [0.05, 0.3, 0.6, 0.9])
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.1, 1 / 30, 1 / 60])
 @pytest.mark.parametrize(
