@@ -25,6 +25,7 @@ from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.gate import GateParams
+from testbed.flight.guidance import GuidanceParams
 from testbed.flight.jet_faults import slopes
 from testbed.flight.parameters import SPARE_FORCE
 
@@ -33,6 +34,7 @@ from testbed.flight.parameters import SPARE_FORCE
 BRISK = 0.03  # acceleration a law should have: 1.4 m in 14 s [m/s^2] [assumption]
 SHARE, LEAST_SHARE = 0.6, 0.3  # of the force for the law; the rest is for feedback [assumption]
 TURNING = 0.1  # of alpha for a turn: torque is served before force [assumption]
+LIVES = 3.5  # jet periods without a setpoint, as `link_late` of the fault table [assumption]
 FASTEST_TURN = 0.1  # half a turn in 13 s [rad/s^2] [assumption]
 LOOP, HEADING_LOOP = 1 / 8, 1 / 4  # bandwidth times T: 14 and 29 degrees of phase
 WIDEST, WIDEST_HEADING = 0.8, 1.5  # [rad/s]
@@ -112,8 +114,8 @@ def most_torque(push: NDArray[np.float64], turn: NDArray[np.float64]) -> float:
 
 def defaults_of(experiment: Experiment) -> list[Default]:
     """Every derived default, with its arithmetic."""
-    found = [*_guidance(experiment), *_flight(experiment), *_estimator(experiment)]
-    return [*found, *_gate(experiment), *_law(experiment)]
+    found = [*_guidance(experiment), *_life(experiment), *_flight(experiment)]
+    return [*found, *_estimator(experiment), *_gate(experiment), *_law(experiment)]
 
 
 def fit(experiment: Experiment, given: dict[str, Any]) -> Experiment:
@@ -160,6 +162,15 @@ def _guidance(experiment: Experiment) -> Iterator[Default]:
         ("guidance", "heading_accel"), min(FASTEST_TURN, TURNING * slowest.spin),
         f"{TURNING:g} of the {slowest.spin:.3g} rad/s^2 of {slowest.name},"
         f" at most {FASTEST_TURN:g} rad/s^2",
+    )  # fmt: skip
+
+
+def _life(experiment: Experiment) -> Iterator[Default]:
+    """A setpoint lives until three in a row are lost: one that is lost must not end a flight."""
+    period, usual = experiment.flight.jet_period_s, GuidanceParams().setpoint_life_s
+    yield Default(
+        ("guidance", "setpoint_life_s"), max(usual, LIVES * period),
+        f"{LIVES:g} jet periods of {period:g} s, at least {usual:g} s",
     )  # fmt: skip
 
 

@@ -102,6 +102,11 @@ def test_no_number_that_is_allowed_makes_a_default_that_is_not(overrides):
     assert dump(loads(tomli_w.dumps(dump(experiment)))) == dump(experiment)
 
 
+@pytest.mark.parametrize(("period", "life"), [(0.02, 0.5), (0.1, 0.5), (0.5, 1.75), (1.0, 3.5)])
+def test_a_setpoint_outlives_two_that_are_lost(period, life):
+    assert derived(f"flight.jet_period_s={period}")["guidance.setpoint_life_s"] == life
+
+
 def test_the_torque_without_a_force_of_the_shipped_vehicle():
     model = loads(PLAIN).vehicles["sat1"].model
     assert weakest_torque(model) == pytest.approx(4 * 0.6 * 0.09)
