@@ -6,9 +6,9 @@ from typing import NamedTuple
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import bad_jet, innovations, permanent, reconfiguration
-from testbed.flight.hypotheses import DRAG, NUDGE, PULL, SURE, TURNED, certain
+from testbed.flight.hypotheses import DRAG, NUDGE, PULL, SURE, certain
 from testbed.flight.jet_faults import look, note_pull, pause
-from testbed.flight.permanent import lateness, surest, wrong_scale
+from testbed.flight.permanent import heading_off, lateness, wrong_scale
 from testbed.flight.record import NO_SETPOINT, record
 from testbed.flight.window import forget
 
@@ -187,7 +187,7 @@ def explain(p, m, seen, known, suspected, always, row, samples):
         sizes[PULL] / p.holding if pull > 0.0 and gains[PULL] > SURE else 0.0,
         certain(gains, sizes, least, DRAG),
         wrong_scale(suspected, always, least),
-        surest(far, always, least, TURNED),
+        heading_off(suspected, always, least),
         lateness(suspected, always, least),
         late_s,
         frame_step,

@@ -182,6 +182,24 @@ def wrong_scale(suspected, m, least):
 
 
 @compiled
+def heading_off(suspected, m, least):
+    """Sigmas of a heading that is off, as of `surest`.
+
+    The windows do not know that jets point elsewhere by a degree or two. The innovations do, and
+    they hear the poses themselves. So they must find it in the same sense, or the long window.
+
+    Args:
+        suspected: jet_faults.MEMORY.
+        m: MEMORY.
+        least: smallest size of each kind that is a fault.
+    """
+    far, found = suspected.far, suspected.innovations
+    if found.gains[TURNED] < WORTH or found.sizes[TURNED] * m.sizes[TURNED] < 0.0:
+        return certain(far.gains, far.sizes, least, TURNED)
+    return surest(far, m, least, TURNED)
+
+
+@compiled
 def lateness(near, m, least):
     """Sigmas of late poses by the short window, or by the whole flight.
 

@@ -100,6 +100,20 @@ def test_innovations_confirm_a_thrust_of_half(flight, gain, size, agrees):
     assert found == (flight.sigmas(THRUST) if agrees else 0.0)
 
 
+@pytest.mark.parametrize(
+    ("gain", "size", "agrees"), [(0.0, 0.0, False), (2.0, 1.0, True), (2.0, -1.0, False)]
+)
+def test_innovations_confirm_a_heading_that_is_off(flight, gain, size, agrees):
+    for _ in range(20):
+        flight.second(ROTATED, 0.3)
+    suspected = flight.memory.fixed[0].jet_faults
+    suspected.far.gains[:] = 0.0  # the long window has seen nothing lately
+    suspected.innovations.gains[TURNED] = gain * WORTH
+    suspected.innovations.sizes[TURNED] = size * flight.m.sizes[TURNED]
+    found = permanent.heading_off(suspected, flight.m, flight.p.least)
+    assert (found > 6.0) == agrees
+
+
 def test_the_estimator_settles_in_the_first_second(flight):
     flight.second(jump=(-1e-2, 0.0, 0.0))
     assert flight.m.sums == 0
