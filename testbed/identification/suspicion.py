@@ -220,7 +220,7 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
             text = f"the heading turns {found.turn_scale:.3g} times as far as commanded: in {unit}?"
             yield Suspicion("unit-angle", text)
             return
-    axes = found
+    axes = steep = found
     if found.plain < DOUBTFUL:  # a steep table pushes too: judge by what is not steady
         steep = look_at(logs, vehicle, steep=True)
         axes = steep if steep.explained > TELLS else found
@@ -231,7 +231,15 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
             f" as the mapping says only {max(0.0, axes.plain):.0%}",
         )
         return
-    if found.plain < UNEXPLAINED:
+    if found.plain < UNEXPLAINED and _is_right(found.turn, found.turn_scale, steep.scale):
+        yield Suspicion(
+            "little-motion",
+            f"the commands explain only {max(0.0, found.plain):.0%} of the path, and"
+            f" {found.turn:.0%} of the rotation: a vehicle that holds its place on a slope tells"
+            " little; let it move farther, see `testbed excite`",
+            refuses=False,
+        )
+    elif found.plain < UNEXPLAINED:
         yield Suspicion(
             "unexplained",
             f"the commands explain only {max(0.0, found.plain):.0%} of the motion: another log's"
@@ -242,6 +250,11 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
     if found.turn_scale < -0.2 and found.turn > 0.3 and turns:
         text = "the vehicle turns against its commanded torque: heading or jets mirrored"
         yield Suspicion("heading-sign", text)
+
+
+def _is_right(turn: float, turn_scale: float, scale: float) -> bool:
+    """Whether the rotation, and the path without steady pushes, are those of the commands."""
+    return turn > DOUBTFUL and 0.5 < turn_scale < 2.0 and 0.3 < scale < 3.0
 
 
 def _other_than_flown(log: MotionLog, vehicle: Vehicle) -> Iterator[Suspicion]:

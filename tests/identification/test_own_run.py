@@ -7,7 +7,7 @@ import testbed
 from testbed.config import SHIPPED, load
 from testbed.identification.motion import calibrate_motion, interval
 from testbed.identification.own_run import read_run_log
-from testbed.identification.suspicion import look_at
+from testbed.identification.suspicion import look_at, suspicions
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader
 from testbed.rig.twin import make_twin
@@ -47,6 +47,29 @@ def test_short_pulses_explain_the_motion(run, log):
     look = look_at([log], run.experiment.vehicles["sat1"].model)
     assert look.plain > 0.4
     assert 0.5 < look.scale < 1.5
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    """A vehicle that holds its place: jets and slope cancel, and the path tells little."""
+    run = testbed.fly(testbed.load("hold"), log=tmp_path_factory.mktemp("hold") / "run")
+    return run.experiment.vehicles["sat1"].model, read_run_log(run.folder, None)
+
+
+def test_a_vehicle_that_holds_its_place_is_warned_of_and_not_refused(held):
+    vehicle, log = held
+    assert look_at([log], vehicle).plain < 0.04
+    found = list(suspicions([log], vehicle))
+    assert [(one.name, one.refuses) for one in found] == [("little-motion", False)]
+
+
+@pytest.mark.parametrize(
+    "change", [lambda p: np.roll(p, 3000, axis=0), lambda p: p * [1, 1, -1], lambda p: p[::-1]]
+)
+def test_commands_of_another_time_are_refused_there_too(held, change):
+    vehicle, log = held
+    found = list(suspicions([log._replace(pose=change(log.pose))], vehicle))
+    assert any(one.refuses for one in found)
 
 
 def test_the_true_numbers_are_in_the_intervals(run, log):
