@@ -33,6 +33,8 @@ TO_DO = {
     "disk": "free space where the log goes",
     "operator": "answer the question at the terminal",
     "commissioned": "run `testbed commission`",
+    "frame": "compare the cameras' frame and the table file",
+    "checks": "try again",
     "law": "the message says where the law fails",
 }
 

@@ -268,7 +268,8 @@ def put(flight, tmp_path):
         folder = new_folder(tmp_path / place, "hold")
         write_config(folder, dump(experiment), "9.8.7")
         (folder / "log.mcap").write_bytes(log)
-        write_metrics(folder, replace(metrics, rig=rig, seed=experiment.seed, **changes))
+        own = replace(metrics, experiment=experiment.name, rig=rig, seed=experiment.seed)
+        write_metrics(folder, replace(own, **changes))
 
     return put
 

@@ -183,8 +183,8 @@ def test_old_poses_silence_it_until_the_next_second(flight):
     fixed, row = flight.memory.fixed[0], np.zeros(1, ROW)[0]
     row.state.pose_age, still = 0.2, np.zeros(len(flight.memory.begun))
     detectors.compare(
-        flight.p, fixed.jet_faults, flight.memory.heard, flight.m, flight.memory.permanent, row,
-        still, 1.0,
+        flight.p, fixed.jet_faults, flight.memory.heard, flight.memory.fired, flight.m,
+        flight.memory.permanent, row, still, 1.0,
     )  # fmt: skip
     assert flight.sigmas(TURNED) == 0.0
     flight.second(ROTATED, np.radians(15.0))
