@@ -26,9 +26,8 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from controllers.law_file import UnusableLawError
+from controllers.law_file import LawError, UnusableLawError
 from controllers.onnx_nodes import TRAINED, node_types
-from controllers.plain_law import LawError
 from controllers.sampled import Sampled
 from controllers.scale import Scale
 from testbed.core.extra import pip_install

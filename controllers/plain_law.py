@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.answer import ahead_of, asked, numbers, pair
-from controllers.law_file import LawError as LawError
-from controllers.law_file import UnusableLawError, blame
+from controllers.law_file import LawError, UnusableLawError, blame
 from testbed.core.law import (
     Ahead,
     Body,

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from controllers.law_file import UnusableLawError
-from controllers.plain_law import LawError
+from controllers.law_file import LawError, UnusableLawError
 from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
 from testbed.cli.refusal import errors, refuse, warn

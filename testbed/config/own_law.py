@@ -7,10 +7,9 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec.structs import replace
 
-from controllers.law_file import UnusableLawError, content_of, digest, file_of, maker
+from controllers.law_file import LawError, UnusableLawError, content_of, digest, file_of, maker
 from controllers.onnx_policy import OnnxParams, try_policy
 from controllers.own_law import OwnLawParams, own_law, parameter_type, try_out
-from controllers.plain_law import LawError
 from testbed.config.error import Violation, refused
 from testbed.config.experiment import Experiment
 from testbed.config.validation import first_violation

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controllers.law_file import UnusableLawError
+from controllers.law_file import LawError, UnusableLawError
 from controllers.own_law import law_of
-from controllers.plain_law import LawError
 from testbed.conformance.check import NotConformingError, factory_of, must, run_all
 from testbed.core.error import TestbedError
 from testbed.core.law import Array, Body, Discs, Goal, Law, Neighbours, World

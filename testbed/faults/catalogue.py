@@ -33,7 +33,7 @@ class Case(Struct, frozen=True):
     kind: Kind
     names: tuple[str, ...]  # ids of the faults or red arming checks that identify it
     sizes: tuple[float, float] | None = None  # range of `value`; None: its usual value
-    in_periods: bool = False  # whether these are times in jet periods
+    in_periods: bool = False  # `sizes` are in jet periods, not in seconds
     lasts: tuple[float, float] | None = None  # range [s]; None: to the end
     at_start: bool = False  # there before the arming checks
     rigs: tuple[str, ...] = EITHER_RIG

@@ -17,7 +17,7 @@ from testbed.faults.catalogue import CATALOGUE
 from testbed.flight.arming import Check
 
 BESIDE_BRAKE = 1.0  # beside the longest stop on board: the ticks before and after it [s]
-BESIDE_PLANS = 0.05  # beside the periods of plans in flight: the way to the valves [s]
+BESIDE_PLANS = 0.05  # beside the periods of plans in flight: their way to the valves [s]
 ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s]
 WHEN = (2.0, 12.0)  # range of the injection time [s]
 # kinds after which the vehicle can no longer avoid a contact, and that only others can detect

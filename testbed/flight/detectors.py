@@ -56,8 +56,8 @@ def compare(p, m, heard, fired, always, window, row, duty, thrust_scale):
     """Compare the motion with the flow of the last plan; see `jet_faults.look`.
 
     Poses that are old, refused or of another clock are no evidence about valves. After a late tick
-    the valves may have done something else than the plans say, and what was heard of their jets
-    since then is in all sums already.
+    the valves may have done something else than the plans say. The sums have that in them already,
+    so they begin anew.
     """
     state, before = row.state, m.look
     if row.told.late_s > SPOILT * p.period / p.ticks:
@@ -241,7 +241,8 @@ def place(then, motion, t):
 def jump(m, samples, clock_offset):
     """Distance of the newest pose from the prediction of the last estimate [m].
 
-    Less the way of the vehicle in the time by which the clocks differ [s]: that is no jump.
+    The way that the vehicle goes in `clock_offset` [s] is taken off, because the stamp is wrong by
+    that time.
     """
     if m.known == 0 or samples.shape[0] == 0:
         return 0.0

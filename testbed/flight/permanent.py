@@ -185,8 +185,9 @@ def wrong_scale(suspected, m, least):
 def heading_off(suspected, m, least):
     """Sigmas of a heading that is off, as of `surest`.
 
-    The windows do not know that jets point elsewhere by a degree or two. The innovations do, and
-    they hear the poses themselves. So they must find it in the same sense, or the long window.
+    The windows do not know that jets may point elsewhere by a degree or two; the innovations do.
+    So the whole flight's score counts only if the innovations find a heading of the same sign.
+    Without them the long window decides.
 
     Args:
         suspected: jet_faults.MEMORY.

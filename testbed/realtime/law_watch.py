@@ -25,9 +25,8 @@ from typing import Any
 import numba.core.compiler_lock as compiling
 
 from controllers.catalogue import UsersLaw
-from controllers.law_file import LawStoppedError, UnusableLawError, file_of
+from controllers.law_file import LawError, LawStoppedError, UnusableLawError, file_of
 from controllers.onnx_policy import OnnxParams
-from controllers.plain_law import LawError
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
 from testbed.realtime.heartbeat import Heartbeat, RunPhase, heartbeat

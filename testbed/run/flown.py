@@ -21,7 +21,7 @@ from testbed.report.verdict import NOTHING_TO_JUDGE
 from testbed.run.arguments import path_of
 from testbed.run.experiment import texts_of, told_by
 from testbed.run.recorded import recorded
-from testbed.run.table import Table
+from testbed.run.table import Table, UnknownNameError
 
 Array = NDArray[np.float64]
 UNITS = ("m", "m", "rad")
@@ -90,7 +90,7 @@ class Run(Mapping[str, Vehicle]):
             KeyError: the run has no vehicle of this name; a `TestbedError` too.
         """
         if name not in self._history.vehicles:
-            raise UnknownVehicleError(
+            raise UnknownNameError(
                 where="run", expected=f"one of {', '.join(self)}", found=repr(name)
             )
         return self._vehicles[name]
@@ -182,12 +182,6 @@ class Run(Mapping[str, Vehicle]):
             else "failed " + ", ".join(k for k, met in self.criteria.items() if not met)
         )  # fmt: skip
         return f"Run of {m.experiment} on the {m.rig}, seed {m.seed}, {m.duration_s:g} s: {verdict}"
-
-
-class UnknownVehicleError(TestbedError, KeyError):
-    """A run has no vehicle of this name."""
-
-    __str__ = Exception.__str__  # KeyError would show the text in quotes
 
 
 class Figures(Mapping[str, str]):

@@ -14,8 +14,8 @@ Array = NDArray[Any]
 SHOWN_ROWS = 10
 
 
-class UnknownColumnError(TestbedError, KeyError):
-    """A table has no column of this name."""
+class UnknownNameError(TestbedError, KeyError):
+    """A table has no column of this name, or a run no vehicle."""
 
     __str__ = Exception.__str__  # KeyError would show the text in quotes
 
@@ -42,7 +42,7 @@ class Table(Mapping[str, Array]):
         """
         named = isinstance(name, str)
         if not named or name not in self._columns:
-            raise UnknownColumnError(
+            raise UnknownNameError(
                 where="table", expected=f"one of {', '.join(self)}", found=repr(name),
                 hint="" if named else "index the columns: table['t'][0]",
             )  # fmt: skip

@@ -10,11 +10,10 @@ import pytest
 import testbed
 from controllers import onnx_policy
 from controllers.catalogue import make_law
-from controllers.law_file import UnusableLawError
+from controllers.law_file import LawError, UnusableLawError
 from controllers.onnx_nodes import node_types
 from controllers.onnx_policy import RANDOM, OnnxParams, observation
 from controllers.pd import PdParams
-from controllers.plain_law import LawError
 from testbed.config import ConfigError
 from testbed.core.law import Body, Discs, Goal, World, silent
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
