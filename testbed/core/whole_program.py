@@ -6,15 +6,16 @@ optimises all of it again, so a function four calls deep is optimised five times
 outermost function neither wrapper nor machine code is ever used.
 
 Here an `Entry` is called from Python. What it calls are parts: lowered only, and linked into the
-entry, where everything is optimised once, as with a C compiler's whole-program optimisation. The
-first flight takes a quarter less processor time (decision 32). The arithmetic stays the same,
-because without fast-math no optimisation may change it.
+entry, where everything is optimised once, as with a C compiler's whole-program optimisation. So are
+numba's own functions for compiled code, such as that of `np.zeros`. The first flight takes a third
+less processor time (decision 32). The arithmetic stays the same, because without fast-math no
+optimisation may change it.
 """
 
 import gc
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, cast
 
 from llvmlite.binding import Linkage, parse_assembly
@@ -22,6 +23,7 @@ from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
+from numba.core.target_extension import jit_registry, target_registry
 
 from testbed.core.code_cache import OwnTypesCache
 
@@ -193,6 +195,19 @@ class PartCompiler(EntryCompiler):
     library = PartLibrary
 
 
+UNWRAPPED = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # Python and C never call a part
+
+
+def make_overloads_parts() -> None:
+    """Compile as parts what `numba.extending.overload` gives for a call: numba's own and ours."""
+    cpu = target_registry["cpu"]
+    jit = jit_registry.pop(cpu)
+    jit_registry[cpu] = partial(jit, pipeline_class=PartCompiler, **UNWRAPPED)
+
+
+make_overloads_parts()
+
+
 class Entry(CPUDispatcher):
     """A function that Python calls; compiled code that calls it takes the part instead."""
 
@@ -216,7 +231,7 @@ class Entry(CPUDispatcher):
     @cached_property
     def part(self) -> CPUDispatcher:
         """The function as compiled code calls it."""
-        options = self.targetoptions | {"no_cpython_wrapper": True}
+        options = self.targetoptions | UNWRAPPED
         return CPUDispatcher(self.py_func, self.locals, options, PartCompiler)
 
     @property
