@@ -221,7 +221,7 @@ def drill(
     """Inject every kind of fault and report the response.
 
     Flies EXPERIMENT, for instance with a lab's own vehicle, or two shipped ones. Prints for each
-    kind whether it was detected, how fast, and which response followed; see docs/safety.md.
+    kind whether it was detected, how fast, and which response followed; see docs/faults.md.
     """
     from testbed.cli.drill import run_drill
 
