@@ -60,6 +60,7 @@ declare void @NRT_MemInfo_call_dtor(ptr)
 """
 
 
+MAKES_MESSAGE = "__excinfo_unwrap_args"  # numba's function for an error with numbers of the run
 SELDOM = 300_000, 5, 100  # thresholds of Python's garbage collector, see gc.set_threshold
 
 
@@ -87,7 +88,11 @@ class PartLibrary(JITCodeLibrary):
         return self
 
     def set_env(self, env_name: str, env: Any) -> None:
-        """Do nothing: an environment is needed by wrappers only."""
+        """Give code that makes an error's message its environment; other code needs none."""
+        if any(one.name.startswith(MAKES_MESSAGE) for one in self._final_module.functions):
+            engine = cast(Any, self._codegen)
+            engine._add_module(parse_assembly(f'@"{env_name}" = common global ptr null'))  # noqa: SLF001
+            engine.set_env(env_name, env)
 
     def get_pointer_to_function(self, name: str) -> int:
         """No address: there is no machine code."""

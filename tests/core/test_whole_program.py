@@ -6,8 +6,10 @@ import numba
 import numpy as np
 import pytest
 from llvmlite.binding import parse_bitcode
+from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime import rtsys
 from numba.core.runtime._nrt_python import memsys_enable_stats
+from numba.extending import overload
 
 from testbed.core.compiled import compiled, inlined
 
@@ -55,9 +57,45 @@ def of_a_user(x):
 
 
 @compiled
+def refuses(x):
+    raise ValueError(f"expected three numbers, found {len(x)}")
+
+
+@compiled
+def asks(x):
+    refuses(x)
+    return x
+
+
+@numba.njit
+def of_a_user_that_writes(rows, x):
+    rows[:2] = x
+    return rows
+
+
+@compiled
 def writes(rows, x):
     rows[:2] = x
     return rows
+
+
+def doubled(x):
+    return 2.0 * x
+
+
+@overload(doubled)
+def _doubled(x):
+    return lambda x: np.full(3, 2.0) * x
+
+
+@compiled
+def with_overload(x):
+    return doubled(x)
+
+
+@numba.njit
+def of_a_user_with_overload(x):
+    return doubled(x) + with_overload(x)
 
 
 X = np.array([2.0, 5.0, 0.25])
@@ -72,6 +110,21 @@ def test_no_machine_code_is_made_of_a_part():
     both(X)
     part = next(iter(innermost.part.overloads.values()))
     assert part.library.get_pointer_to_function(part.fndesc.llvm_func_name) == 0
+
+
+def test_overloads_are_parts(monkeypatch):
+    finished, finalize = [], JITCodeLibrary.finalize
+
+    def recorded(library):
+        finished.append((library.name, type(library).__name__))
+        finalize(library)
+
+    monkeypatch.setattr(JITCodeLibrary, "finalize", recorded)
+    assert with_overload(X).tolist() == (2.0 * X).tolist()
+    assert of_a_user_with_overload(X).tolist() == (4.0 * X).tolist()
+    names = [name for name, kind in finished if kind != "PartLibrary"]
+    assert {"with_overload", "of_a_user_with_overload"} <= set(names)
+    assert not [name for name in names if "doubled" in name or "full" in name]
 
 
 def test_machine_code_is_kept_with_its_names_and_without_its_source():
@@ -90,8 +143,11 @@ def test_an_error_deep_inside_reaches_the_caller():
     for way in (both, of_a_user):
         with pytest.raises(ValueError, match="expected a positive number"):
             way(-X)
-    with pytest.raises(ValueError, match="cannot assign slice"):
-        writes(np.zeros(3), X)
+    with pytest.raises(ValueError, match="expected three numbers, found 2"):
+        asks(X[:2])
+    for way in (of_a_user_that_writes, writes):
+        with pytest.raises(ValueError, match=r"cannot assign slice of shape \(2,\) .* \(3,\)"):
+            way(np.zeros(3), X)
 
 
 def test_a_function_is_called_from_python_and_from_compiled_code():
