@@ -105,7 +105,8 @@ def _median(quantity: Quantity, of_all: float, apart: Groups) -> tuple[str, str]
     if not found:
         return f"median {quantity.title}", f"{number(of_all)} {quantity.unit}"
     (low, least), (high, most) = min(found), max(found)
-    words = f"median {quantity.title}, from {least} to {most}{'.' * bool(apart.rest)}{apart.rest}"
+    words = f"median {quantity.title}: least with {least}, most with {most}"
+    words += "." * bool(apart.rest) + apart.rest
     return words, f"{number(low)} to {number(high)} {quantity.unit}"
 
 
@@ -119,7 +120,8 @@ def _key(apart: Groups) -> str:
             for passed, words in ((True, "passed"), (False, "did not pass"))
         ]
     spans = "".join(f'<span class="key">{one}{escape(words)}</span>' for one, words in keys)
-    return f"<p>{spans}</p>"
+    of = f'<span class="key">{escape(", ".join(apart.axes))}:</span>' if apart.shown else ""
+    return f"<p>{of}{spans}</p>"
 
 
 def swatch(case: int | None, drawn: str = "") -> str:
@@ -166,7 +168,7 @@ def _medians(campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], apa
     return (
         '<h2>Numbers by case</h2><p class="soft">Median of the runs that have the number, whether '
         f'they passed or not. {escape(apart.sentence(campaign.combinations))}</p><div class="wide">'
-        f"<table><tr><th>case</th>{heads}</tr>{''.join(rows)}</table></div>"
+        f"<table><tr><th>{escape(', '.join(axes))}</th>{heads}</tr>{''.join(rows)}</table></div>"
     )
 
 

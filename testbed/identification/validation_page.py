@@ -29,7 +29,7 @@ def write_page(
         for who, figures in both.items()
     )
     table = (
-        '<div class="wide"><table><tr><th>ahead</th><th></th><th>position RMS [mm]</th>'
+        '<div class="wide"><table><tr><th>ahead</th><th>vehicle file</th><th>position RMS [mm]</th>'
         "<th>median [mm]</th><th>heading RMS [deg]</th><th>predictions</th></tr>"
         f"{rows}</table></div>"
     )

@@ -34,13 +34,14 @@ NOT_A_TABLE = {
 }
 FIRST = ("trajectory", "error", "error_xy", "near")  # figures before the numbers
 
+NEAREST = "min_obstacle_distance_m"
 ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("final error [mm]", "final_error_m", 1e3, 2, "final_error_m"),
     (f"settled to {1e3 * SETTLED_M:.0f} mm [s]", "settle_s", 1.0, 1, "settle_s"),
     ("tracking RMS [mm]", "track_rms_m", 1e3, 2, "track_rms_m"),
     ("hold RMS [mm]", "hold_rms_m", 1e3, 2, "hold_rms_m"),
     ("heading RMS [deg]", "heading_rms_deg", 1.0, 3, "heading_rms_deg"),
-    ("nearest obstacle [m]", "min_obstacle_distance_m", 1.0, 3, "clear_of_obstacles"),
+    ("nearest obstacle [m]", NEAREST, 1.0, 3, "clear_of_obstacles"),
     ("impulse [N s]", "impulse_ns", 1.0, 1, "impulse_ns"),
     ("gas [g]", "gas_g", 1.0, 1, ""),
     ("valve pulses", "valve_pulses", 1.0, 0, ""),
@@ -159,11 +160,16 @@ def _tiles(scenario: Experiment, metrics: Metrics) -> str:
         values = [known(scenario, metrics, name, key) for name in metrics.vehicles]
         return max((v for v in values if v is not None), default=None)
 
-    nearest = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
-    near = [v for v in nearest if v is not None]
+    near = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
+    nearest = min((v for v in near if v is not None), default=None)
+    fixed = [one for name, one in metrics.vehicles.items() if not scenario.vehicles[name].path]
+    settled = [one.settle_s for one in fixed]
+    late = [v for v in settled if v is not None]
     gas = [v.gas_g for v in metrics.vehicles.values() if v.gas_g is not None]
     of_goals: tuple[tuple[str, str, str], ...] = (
-        ("settled, last vehicle", _number(worst("settle_s"), 1.0, 1), "s"),
+        ("settled, last vehicle", _number(worst("settle_s"), 1.0, 1), "s")
+        if len(late) in (0, len(settled))
+        else ("vehicles settled", f"{len(late)} of {len(settled)}", ""),
         ("hold RMS, worst", _number(worst("hold_rms_m"), 1e3, 2), "mm"),
         ("tracking RMS, worst", _number(worst("track_rms_m"), 1e3, 2), "mm"),
     )
@@ -177,14 +183,15 @@ def _tiles(scenario: Experiment, metrics: Metrics) -> str:
     tiles = (
         ("flown", _number(metrics.duration_s, 1.0, 0 if metrics.duration_s >= 10.0 else 1), "s"),
         *of_goals,
-        ("nearest obstacle, centres", _number(min(near) if near else None, 1.0, 2), "m"),
-        ("nearest vehicles, centres", _number(metrics.min_vehicle_distance_m, 1.0, 2), "m"),
+        *[("nearest obstacle, centres", _number(nearest, 1.0, 2), "m")] * bool(scenario.obstacles),
+        *[("nearest vehicles, centres", _number(metrics.min_vehicle_distance_m, 1.0, 2), "m")]
+        * (len(scenario.vehicles) > 1),
         ("contacts", DASH if metrics.contacts == UNCOUNTED else str(metrics.contacts), ""),
         ("gas, total", _number(sum(gas) if gas else None, 1.0, 0), "g"),
     )
     judged = metrics.criteria or {}
     bad = {name for name, key in TILES_JUDGED.items() if judged.get(key) is False}
-    return '<div class="tiles">' + "".join(
+    return f'<div class="tiles{" six" * (len(tiles) == 6)}">' + "".join(
         f'<div class="tile"><b{MISSED * (name in bad)}>{value}'
         f"{f' {unit}' if value != DASH else ''}</b><span>{name}</span></div>"
         for name, value, unit in tiles
@@ -223,7 +230,7 @@ def _dot(k: int) -> str:
 def _pose(pose: tuple[float, float, float]) -> str:
     x, y, theta = pose
     turn = f"{math.degrees(theta):.0f}\N{DEGREE SIGN}"
-    return _signed(f"({x:.2f}, {y:.2f}){JOINT}m,{JOINT}{turn}")  # two lines on a phone
+    return _signed(f"({x:.2f}, {y:.2f}){JOINT}m, {turn}")  # three lines on a phone
 
 
 def _flown(scenario: Experiment, changed: Sequence[str]) -> str:
@@ -246,8 +253,8 @@ def _flown(scenario: Experiment, changed: Sequence[str]) -> str:
         f"<tr><td>{_dot(k)}{escape(name)}</td>"
         f"<td>{_pose(s.start)}</td>{f'<td>{_pose(s.goal)}</td>' * has_goals}"
         f"<td>{s.model.mass:g}</td>"
-        f'<td>{s.model.radius:g}</td><td class="value">{len(s.model.jets)} '
-        f"\N{MULTIPLICATION SIGN} {s.model.jets[0].thrust:g} N</td></tr>"
+        f"<td>{s.model.radius:g}</td><td>{len(s.model.jets)} "
+        f"\N{MULTIPLICATION SIGN} {s.model.jets[0].thrust:g}{JOINT}N</td></tr>"
         for k, (name, s) in enumerate(scenario.vehicles.items())
     )
     return (
@@ -316,7 +323,7 @@ def _criteria(scenario: Experiment, metrics: Metrics) -> str:
         rows.append(f"<tr><td>{name}</td>{cells}</tr>")
     return (
         '<h2>Criteria</h2><div class="wide"><table><tr><th>criterion</th><th>limit</th>'
-        f"<th>found, worst vehicle</th><th></th></tr>{''.join(rows)}</table></div>"
+        f"<th>found, worst vehicle</th><th>verdict</th></tr>{''.join(rows)}</table></div>"
     )
 
 
@@ -325,7 +332,7 @@ def _results(scenario: Experiment, metrics: Metrics) -> str:
     names = "".join(f"<th>{_dot(k)}{escape(name)}</th>" for k, name in enumerate(metrics.vehicles))
     rows = []
     for heading, key, scale, digits, criterion in ROWS:
-        if key in OF_A_GOAL and not has_goals:
+        if (key in OF_A_GOAL and not has_goals) or (key == NEAREST and not scenario.obstacles):
             continue
         cells = "".join(
             f"<td{MISSED * missed(scenario, metrics, name, key, criterion)}>"
@@ -335,7 +342,7 @@ def _results(scenario: Experiment, metrics: Metrics) -> str:
         rows.append(f"<tr><td>{heading}</td>{cells}</tr>")
     return (
         '<h2>Results</h2><div class="wide"><table>'
-        f"<tr><th></th>{names}</tr>{''.join(rows)}</table></div>"
+        f"<tr><th>number</th>{names}</tr>{''.join(rows)}</table></div>"
     )
 
 

@@ -48,7 +48,8 @@
   });
 
   function show(plot, t) {
-    const { f, svg } = plot, px = f.x(t), inside = t !== null && px >= f.left - 0.5 && px <= f.right + 0.5;
+    const { f, svg } = plot, over = flight && t > f.x1 && t <= f.x1 + flight.step + 1e-6; // the last tick's plan
+    const px = over ? f.right : f.x(t), inside = t !== null && px >= f.left - 0.5 && px <= f.right + 0.5;
     plot.cursor.setAttribute("visibility", inside ? "visible" : "hidden");
     if (!inside) { plot.out.textContent = ""; return; }
     plot.cursor.setAttribute("d", `M${px.toFixed(1)} ${f.top}V${f.bottom}`);

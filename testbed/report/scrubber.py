@@ -23,8 +23,9 @@ def flight_data(
     scenario: Experiment, history: History, events: Sequence[EventLine] = ()
 ) -> dict[str, Any]:
     """What report.js needs of a flight; positions in mm, headings in 0.01 deg."""
-    end = max(history.end, 1e-3)
-    step = max(scenario.flight.jet_period_s, end / SAMPLES)
+    period = scenario.flight.jet_period_s
+    end = max(history.end + period, 1e-3)  # the plan of the last tick lasts a period
+    step = max(period, end / SAMPLES)
     told = [one for one in events if one.t >= 0.0]
     bad = [one.t for one in told if one.level == "CRITICAL"]
     return {

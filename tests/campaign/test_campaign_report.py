@@ -50,6 +50,16 @@ def pictures(page):
     return [ET.fromstring(svg) for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL)]
 
 
+def test_the_legend_names_the_parameter(write, tmp_path):
+    campaign = load_campaign(write(grid=[GRID], samples=20))
+    legend = re.search(
+        r"<p>(<span class=\"key\">.*?)</p>", page_of(campaign, some_runs(60), tmp_path)
+    )
+    assert legend is not None
+    words = re.sub(r"<.*?>", " ", legend[1]).split()
+    assert words[:4] == ["controller.bandwidth:", "0.1", "0.2", "0.3"]
+
+
 def test_the_page_fetches_nothing_and_every_picture_is_sound(write, tmp_path):
     campaign = load_campaign(write(grid=[GRID], draw=[MASS], samples=20))
     page = page_of(campaign, some_runs(60), tmp_path)

@@ -55,6 +55,10 @@ def test_the_event_that_ends_a_flight_can_be_reached():
     assert found["events"][-1][0] <= found["end"]
 
 
+def test_the_time_ends_with_the_plan_of_the_last_tick():
+    assert data_of(moving(np.arange(0.0, 12.0, 0.1)))["end"] == 12.0
+
+
 def test_a_jet_is_open_where_its_plan_or_its_board_says_so():
     t = np.arange(0.0, 10.0, 0.1)
     on = np.zeros((len(t), 8))

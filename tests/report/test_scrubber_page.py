@@ -194,3 +194,32 @@ def test_values_at_the_cursor_are_those_of_the_flight(page, crash):
     told = text(page, "#speed .values")
     shown = float(told.partition("sat1 ")[2].split()[0])
     assert shown == pytest.approx(speed, rel=0.02, abs=1.0)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("short") / "run"
+    subprocess.run(
+        [sys.executable, "-m", "testbed", "run", "zhang2023_table", "duration_s=5", "criteria={}",
+         "--out", str(folder)],
+        cwd=ROOT, capture_output=True, check=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    return folder / "report.html"
+
+
+@pytest.mark.slow
+def test_the_bar_ends_with_the_flight_and_the_cursors_stay(browser, short):
+    with browser.Browser(1366, 768) as opened:
+        opened.open(short.as_uri())
+        assert loaded(opened, "document.querySelector('#scrub output').innerText") == "5.0 s"
+        cursor = "document.querySelector('#error .cursor').getAttribute('visibility')"
+        assert opened.value(cursor) == "visible"
+
+
+@pytest.mark.slow
+def test_the_tables_fit_a_phone(browser, short):
+    with browser.Browser(360, 800) as opened:
+        opened.open(short.as_uri())
+        tables = "[...document.querySelectorAll('.wide')]"
+        assert loaded(opened, f"{tables}.length") >= 3
+        assert opened.value(f"{tables}.filter(t => t.scrollWidth > t.clientWidth + 1).length") == 0
