@@ -184,7 +184,11 @@ def _is_compiled(module: ModuleType) -> bool:
         if isinstance(one, type)
         for v in vars(one).values()
     ]
-    return any(type(value).__module__.startswith("numba.") for value in (*own, *inside))
+    return any(
+        kind.__module__.startswith("numba.")  # the testbed's own decorators subclass numba's
+        for value in (*own, *inside)
+        for kind in type(value).__mro__
+    )
 
 
 def blame(error: BaseException, path: Path | None) -> str:

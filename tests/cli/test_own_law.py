@@ -136,6 +136,8 @@ class Mine:
     [
         "@numba.njit\ndef twice(x):\n    return 2 * x",
         "class Sums:\n    @staticmethod\n    @numba.njit\n    def twice(x):\n        return 2 * x",
+        "from testbed.core.law import compiled_rate\nclass Gains(tuple): ...\n"
+        "@compiled_rate(Gains)\ndef rate(gains, law_state, own, neighbours, world, t): ...",
     ],
 )
 def test_a_file_with_machine_code_is_not_compiled_anew_for_each_run(here, more):
