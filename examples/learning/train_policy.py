@@ -1,6 +1,6 @@
 """Train a small network to fly like the shipped `pd` law, and write it as policy.onnx.
 
-    python examples/learning/train_policy.py [FILE]      # one minute on one core
+    python examples/learning/train_policy.py [FILE]      # ten seconds
     testbed run configs/scenarios/step.toml \
         controller='{type="onnx", file="examples/learning/policy.onnx"}'
 
@@ -23,6 +23,7 @@ from controllers.pd import PdParams
 from testbed.core.law import Body, Discs, Goal, World, silent
 from testbed.flight.allocation import weakest_force
 
+STEP = Path(__file__).parents[2] / "configs/scenarios/step.toml"
 HIDDEN, SAMPLES, STEPS, BATCH, RATE = 32, 40_000, 12_000, 512, 3e-3
 LARGEST = np.repeat([2.0, 0.15, 0.02, 0.02], 2)  # of each input: m, m/s, m/s^2, m/s^2
 SCALE = np.repeat([0.5, 0.1, 0.02, 0.02], 2)  # inputs are divided by these
@@ -31,7 +32,7 @@ NOTHING = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 def lessons(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Situations, small ones as often as large ones, and the teacher's share of the force."""
-    step = testbed.load("configs/scenarios/step.toml")
+    step = testbed.load(STEP)
     vehicle = step.vehicles["sat1"].model
     most = step.guidance.force_share * weakest_force(vehicle)
     teacher, zero = make_law(PdParams(bandwidth=0.3)), np.zeros(2)

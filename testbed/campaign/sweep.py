@@ -78,7 +78,7 @@ class GridAxis(Struct, frozen=True, forbid_unknown_fields=True):
         if given == (False, True) and not self.values and not self.key:
             return
         if (self.key or self.name) and not self.values and not self.cases:
-            raise MismatchError("values, or cases", f"none for {self.label}")
+            raise MismatchError("one value or more, or cases", f"none for {self.label}")
         raise MismatchError("either key and values, or name and cases", "neither or both")
 
     @property

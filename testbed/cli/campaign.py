@@ -31,6 +31,7 @@ from testbed.cli.progress import Bar
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
 from testbed.config import ConfigError
+from testbed.config.shipped import shipped
 from testbed.config.tree import trouble_at
 from testbed.core.extra import MissingExtraError
 from testbed.files import write_atomic
@@ -75,7 +76,12 @@ def find_campaign(name: str) -> Path:
     """The path of a campaign file that exists."""
     path = Path(name)
     if trouble := trouble_at(path):
-        raise ConfigError(name, "", "a campaign file", trouble)
+        hint = ""
+        if name in shipped("experiments"):
+            hint = f'{name} is an experiment; a campaign file has `experiment = "{name}"`'
+        elif known := shipped("campaigns").get(path.stem):
+            hint = f"the shipped file is {known}"
+        raise ConfigError(name, "", "a campaign file", trouble, hint)
     return path
 
 

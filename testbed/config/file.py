@@ -59,6 +59,8 @@ def find(name: str) -> Path:
         hint = f" (of a run? its experiment is {path / 'config.toml'})"
     elif name and trouble_at(Path(f"{path}.toml")) is None:
         hint = f" (did you mean `{path}.toml`?)"
+    elif path.stem not in known and (scenario := shipped("scenarios").get(path.stem)):
+        hint = f" (a scenario of the benchmark? its file is {scenario})"
     else:
         hint = did_you_mean(path.stem, known)
     raise ConfigError(name, "", expected, trouble + hint)

@@ -19,7 +19,7 @@ FAULTS = SHIPPED / "faults.toml"
 
 @cache
 def shipped(kind: str) -> dict[str, Path]:
-    """The shipped files of a kind, "experiments", "tables" or "vehicles", by name."""
+    """The shipped files of a kind, such as "experiments" or "vehicles", by name."""
     return {file.stem: file for file in sorted((SHIPPED / kind).glob("*.toml"))}
 
 

@@ -92,8 +92,16 @@ def _violation(key: Key, value: Any, kind: inspect.Type) -> Violation | None:
             pairs = enumerate(zip(value, types, strict=True))
             entries = [((*key, i), item, entry) for i, (item, entry) in pairs]
         case _:
-            return None if _fits(value, kind) else Violation(key, describe(kind), show(value))
+            return None if _fits(value, kind) else _misfit(key, value, kind)
     return _first(entries)
+
+
+def _misfit(key: Key, value: Any, kind: inspect.Type) -> Violation:
+    """The mismatch of a value without entries."""
+    hint = ""
+    if isinstance(kind, inspect.LiteralType) and isinstance(value, str):
+        hint = did_you_mean(value, [one for one in kind.values if isinstance(one, str)])
+    return Violation(key, describe(kind), show(value) + hint)
 
 
 def _first(entries: Sequence[tuple[Key, Any, inspect.Type]]) -> Violation | None:

@@ -7,9 +7,10 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from testbed.config import Experiment
+from testbed.core.error import TestbedError
 from testbed.env import action as actions
 from testbed.env import observation as observations
-from testbed.env.table import space_of
+from testbed.env.table import A_RESET, space_of
 from testbed.env.world import World
 from testbed.run.arguments import check_experiment
 
@@ -59,8 +60,14 @@ class FleetEnv(ParallelEnv[str, Any, Any]):
         return self._each(self._world.seen), self._each(self._world.told)
 
     def step(self, actions: Each) -> tuple[Each, Each, Each, Each, Each]:
-        """See `ParallelEnv`."""
+        """See `ParallelEnv`.
+
+        Raises:
+            TestbedError: an agent has no action of the right shape, or the episode is over.
+        """
         world = self._world
+        if self._rng is not None and not self.agents:
+            raise TestbedError(where="step", expected=A_RESET, found="no agents")
         world.step(actions)
         ended = any(world.ended(name) for name in self.agents)
         told = (

@@ -13,6 +13,8 @@ from testbed.env import observation as observations
 from testbed.env.world import World
 from testbed.run.arguments import check_experiment
 
+A_RESET = "a `reset`, because the episode has ended"
+
 
 class TableEnv(gymnasium.Env[Any, Any]):
     """One vehicle on the twin; a step is one jet period. For the arguments see `World`."""
@@ -34,6 +36,7 @@ class TableEnv(gymnasium.Env[Any, Any]):
         (self._name,), (setup,) = experiment.vehicles, experiment.vehicles.values()
         self.observation_space = space_of(observation, experiment, self._name)
         self.action_space = actions.space_of(action, setup.model)
+        self._ended = ""  # why the episode is over
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -41,14 +44,23 @@ class TableEnv(gymnasium.Env[Any, Any]):
         """See `gymnasium.Env`; there are no options."""
         super().reset(seed=seed)
         self._world.reset(self.np_random)
+        self._ended = ""
         return self._world.seen(self._name), self._world.told(self._name)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """See `gymnasium.Env`."""
+        """See `gymnasium.Env`.
+
+        Raises:
+            TestbedError: the action has another shape, or the episode is over.
+        """
         world, name = self._world, self._name
+        if self._ended:
+            raise TestbedError(where="step", expected=A_RESET, found=f"a {self._ended}")
         world.step({name: action})
-        ended = bool(world.ended(name))
-        return world.seen(name), world.reward(name), ended, world.late, world.told(name)
+        self._ended = world.ended(name)
+        return (
+            world.seen(name), world.reward(name), bool(self._ended), world.late, world.told(name),
+        )  # fmt: skip
 
 
 def space_of(layout: observations.Layout, experiment: Experiment, name: str) -> spaces.Space[Any]:

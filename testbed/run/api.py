@@ -117,7 +117,10 @@ def _maker(rig: str) -> Maker:
         from testbed.rig.wired.host import WireRig
 
         return lambda folder: lambda experiment: WireRig(experiment, bench=True, log=folder)
-    raise TestbedError(where="rig", expected='"twin" or "bench"', found=repr(rig))
+    raise TestbedError(
+        where="rig", expected='"twin" or "bench"', found=repr(rig),
+        hint="an operator flies the table: `testbed run --rig table`" * (rig == "table"),
+    )  # fmt: skip
 
 
 def open_run(folder: str | Path) -> Run:

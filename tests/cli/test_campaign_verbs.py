@@ -332,6 +332,17 @@ def test_a_file_that_is_not_there(testbed, verb):
     assert "no such file" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [("hold", 'hold is an experiment; a campaign file has `experiment = "hold"`'),
+     ("hold_gains", "configs/campaigns/hold_gains.toml")],
+)  # fmt: skip
+def test_a_shipped_name_that_is_no_file_gets_a_hint(testbed, name, hint):
+    result = testbed("campaign", name)
+    assert result.exit_code == 2
+    assert hint in result.stderr
+
+
 def test_a_missing_package_is_named_and_how_to_get_it(testbed, monkeypatch, here):
     import sys
 

@@ -42,6 +42,9 @@ def everything_in(folder: Path) -> dict[str, bytes]:
     }
 
 
+SCENARIOS = Path(__file__).resolve().parents[2] / "configs/scenarios"
+
+
 def refused(experiment: str | Path, overrides: Sequence[str] = ()) -> Message:
     """The message of `testbed run` and `testbed check`, which must be the same."""
     before = everything_in(Path())
@@ -106,13 +109,14 @@ def test_a_key_far_from_any() -> None:
 
 
 CHOICES = {
+    "deploy.law=hots": ("host", '"hots" (did you mean `host`?)'),
     "controller.type=sotmsc": ("sotsmc", '"sotmsc" (did you mean `sotsmc`?)'),
     "controller.type=x": ("sotsmc", '"x"'),
     "controller.type=[1]": ("sotsmc", "[1]"),
     "controller.type=3": ("sotsmc", "3"),
     "controller={}": ("sotsmc", "nothing: the key is missing"),
     "flight.modulator.type=pwn": ("pwm", '"pwn" (did you mean `pwm`?)'),
-    "guidance.mode=wrnch": ("wrench", '"wrnch"'),
+    "guidance.mode=wrnch": ("wrench", '"wrnch" (did you mean `wrench`?)'),
     "guidance.mode=true": ("wrench", "true"),
     "deploy.law=cloud": ("host", '"cloud"'),
     "flight.allocator.priority=both": ("torque", '"both"'),
@@ -597,6 +601,7 @@ def test_an_experiment_in_the_place_of_its_parts(kind: str) -> None:
         ("..", "it is a folder"),
         ("x" * 300, "File name too long"),
         ("nothing/like/it", "no such file"),
+        ("step", f"no such file (a scenario of the benchmark? its file is {SCENARIOS}/step.toml)"),
         ("../experiments/hold", "no such file (did you mean `hold`?)"),
         ("/dev/null/x", "no such file"),
     ],

@@ -63,3 +63,15 @@ def test_the_lines_for_an_experiment_file_are_understood(here):
     result = CliRunner().invoke(main, ["check", "mine.toml"])
     assert result.exit_code == 0, result.output
     assert "law python" in result.stdout
+
+
+@pytest.mark.slow
+def test_the_first_experiment_of_the_page_on_experiments_passes(tmp_path):
+    page = PAGE.with_name("experiments.md").read_text()
+    found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert found is not None
+    file = tmp_path / "my_run.toml"
+    file.write_text(found[1])
+    metrics = run(f"testbed run {file}", "--out", str(tmp_path / "run"))
+    assert metrics["criteria"]
+    assert all(metrics["criteria"].values())

@@ -4,6 +4,7 @@ import copy
 import math
 import os
 import pickle
+import runpy
 import subprocess
 import sys
 import warnings
@@ -373,3 +374,29 @@ def test_a_scenario_by_its_name_is_refused_with_a_hint_that_loads_it():
     with pytest.raises(testbed.TestbedError) as caught:
         TableEnv("step")
     assert eval(caught.value.hint).name == "step"
+
+
+def test_a_step_after_the_end_asks_for_a_reset():
+    env = TableEnv(step(), "force")
+    env.reset(seed=0)
+    assert env.step(np.array([math.nan, 0.0]))[2]
+    for one in (env, pickle.loads(pickle.dumps(env))):
+        with pytest.raises(testbed.TestbedError, match=r"a `reset`, because the episode has ended"):
+            one.step(np.zeros(2))
+        one.reset()
+        assert not one.step(np.zeros(2))[2]
+    fleet = FleetEnv(testbed.load("zhang2023_table", "duration_s=0.1"), "force")
+    fleet.reset(seed=0)
+    fleet.step({name: np.zeros(2) for name in fleet.agents})
+    with pytest.raises(testbed.TestbedError, match=r"a `reset`, because the episode has ended"):
+        fleet.step({})
+
+
+def test_the_policy_is_trained_from_any_folder(tmp_path, monkeypatch):
+    pytest.importorskip("onnx", reason="the extra `onnx` is not installed")
+    monkeypatch.chdir(tmp_path)
+    train = runpy.run_path(str(ROOT / "examples/learning/train_policy.py"))
+    train["lessons"].__globals__["SAMPLES"] = 3
+    inputs, shares = train["lessons"](np.random.default_rng(0))
+    assert inputs.shape == (3, 8)
+    assert shares.shape == (3, 2)

@@ -130,6 +130,8 @@ def test_an_unknown_experiment_is_a_testbed_error():
 def test_an_unknown_rig_and_a_run_without_a_log_are_refused(hold, run):
     with pytest.raises(testbed.TestbedError, match="twin"):
         testbed.fly(hold, rig="tabel")
+    with pytest.raises(testbed.TestbedError, match="testbed run --rig table"):
+        testbed.fly(hold, rig="table")
     with pytest.raises(testbed.TestbedError, match="fly it with log"):
         testbed.replay(run)
 
