@@ -217,7 +217,8 @@ def render(runs: Sequence[ComparedRun], printed: Printed | None = None) -> str:
     return page(
         "Comparison",
         f"<header><div><h1>Comparison of {len(runs)} runs</h1></div></header>"
-        f'<div class="wide"><table><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>{beside}'
+        f'<div class="wide"><table><tr><th>number</th>{heads}</tr>{"".join(rows)}</table></div>'
+        f"{beside}"
         f'<h2>Figures</h2><div class="figures">{figures}</div>{bar(data)}',
         script=SCRIPT,
     )

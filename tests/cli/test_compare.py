@@ -30,6 +30,7 @@ def test_runs_side_by_side(testbed):
     for word in ("seed1", "seed2", "final error [mm]", "gas [g]", "failed", "both.html"):
         assert word in result.stdout
     page = Path("both.html").read_text()
+    assert "<th></th>" not in page
     svgs = page.split("<svg")[1:]
     assert len(svgs) == 8
     for svg in svgs:

@@ -223,3 +223,6 @@ def test_the_tables_fit_a_phone(browser, short):
         tables = "[...document.querySelectorAll('.wide')]"
         assert loaded(opened, f"{tables}.length") >= 3
         assert opened.value(f"{tables}.filter(t => t.scrollWidth > t.clientWidth + 1).length") == 0
+        opened.value("document.querySelector('#scrub .told').textContent = 'word '.repeat(60)")
+        hidden = "(t => t.scrollWidth > t.clientWidth + 1)(document.querySelector('#scrub .told'))"
+        assert not opened.value(hidden)
