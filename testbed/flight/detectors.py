@@ -13,7 +13,6 @@ from testbed.flight.record import NO_SETPOINT, record
 from testbed.flight.window import forget
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
-TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
 TRUSTED = 8  # most refused poses for evidence about valves
 SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
 SPOILT = 0.2  # of a jet period: the pulses of a tick that is later may have been cut or lost
@@ -63,7 +62,7 @@ def compare(p, m, heard, fired, always, window, row, duty, thrust_scale):
     if row.told.late_s > SPOILT * p.period / p.ticks:
         distrust(p, m, heard, fired, always, window)
     ours = abs(row.told.clock_offset) < SAME_CLOCK
-    if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
+    if state.pose_age < p.trusted_age and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
         # a nudge passes, but it would stay in the sums of the whole flight
         if nudged(p, m) > math.sqrt(2.0 * SURE):

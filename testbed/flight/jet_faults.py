@@ -45,7 +45,9 @@ from testbed.flight.window import VERDICT, WHITE, Window, age, decide, factor, f
 
 Array = NDArray[np.float64]
 
-LOOK = 0.1  # length of a look; faster ticks are combined: their residuals are dependent [s]
+LOOK = 0.1  # least length of a look; faster ticks are combined: their residuals are dependent [s]
+TRUSTED_AGE = 0.1  # the age of a pose that counts is at least this: fast cameras may lose some [s]
+LOST, JITTERS = 2.0, 8.0  # slow cameras may lose one frame: as `pose_stale` of the fault table
 MEMORY_S = 10.0  # time constant of forgetting [s]
 STRETCH = 1.0  # looks of the long window are summed over this [s]
 LONG_MEMORY_S = 40.0  # [s]
@@ -86,6 +88,7 @@ class Known(NamedTuple):
     most: Array  # largest residual, push and turn [m/s, rad/s]
     period: float  # of a look [s]
     ticks: int  # in a look
+    trusted_age: float  # largest age of a pose for evidence [s]
     block: int  # looks in a block
     keep: float  # factor of forgetting, per look
     long: int  # looks that are summed for the long window
@@ -335,8 +338,14 @@ def slopes(tilt: Tilt) -> tuple[float, float]:
 
 
 def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table: Table) -> Known:
-    """Constants of a vehicle; `period` is the jet period [s]."""
-    ticks = max(1, round(LOOK / period))
+    """Constants of a vehicle; `period` is the jet period [s].
+
+    A look is no shorter than a camera frame: without a pose the estimate shows no push in it.
+    """
+    mocap = table.mocap
+    frame = 1.0 / mocap.rate_hz
+    oldest = mocap.latency_s + LOST * frame + JITTERS * mocap.jitter_s
+    ticks = max(1, round(LOOK / period), math.ceil(frame / period - 1e-9))
     period *= ticks
     n = len(vehicle.jets)
     scale = np.array([[vehicle.mass], [vehicle.mass], [vehicle.inertia]])
@@ -350,15 +359,15 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     bent = max(BENT, math.radians(vehicle.tolerance.direction_deg))
     thrust, inertia = vehicle.tolerance.thrust, vehicle.tolerance.inertia
     tolerances = max(FILED, thrust), bent, max(INERTIA, inertia), tolerance[n]
-    believes = innovations.known_of(vehicle, table.mocap, bumps, tolerances, hardest)
+    believes = innovations.known_of(vehicle, mocap, bumps, tolerances, hardest)
     return Known(
         effect, vehicle.com, vehicle.mass / vehicle.inertia,
         vehicle.air.droop, vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia,
         tolerance**-2.0,
         slope, bumps, ALIKE * (period * (bumps - BUMPS)) ** 2,
-        np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
+        np.ascontiguousarray(response(estimator, vehicle, mocap, period)),
         period * hardest, period,
-        ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
-        max(1, round(STRETCH / period)),
+        ticks, max(TRUSTED_AGE, oldest), max(1, round(BLOCK / period)),
+        1.0 - min(0.5, period / MEMORY_S), max(1, round(STRETCH / period)),
         least_of(vehicle, table, bumps), pads_of(vehicle), believes,
     )  # fmt: skip
