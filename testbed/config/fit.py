@@ -24,6 +24,7 @@ from testbed.config.thresholds import blind_s, silence_s
 from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
+from testbed.flight.arming import ArmingParams
 from testbed.flight.gate import GateParams
 from testbed.flight.guidance import GuidanceParams
 from testbed.flight.jet_faults import slopes
@@ -115,7 +116,8 @@ def most_torque(push: NDArray[np.float64], turn: NDArray[np.float64]) -> float:
 def defaults_of(experiment: Experiment) -> list[Default]:
     """Every derived default, with its arithmetic."""
     found = [*_guidance(experiment), *_life(experiment), *_flight(experiment)]
-    return [*found, *_estimator(experiment), *_gate(experiment), *_law(experiment)]
+    found += [*_estimator(experiment), *_gate(experiment), *_law(experiment)]
+    return [*found, *_arming(experiment)]
 
 
 def fit(experiment: Experiment, given: dict[str, Any]) -> Experiment:
@@ -146,17 +148,22 @@ def _abilities(experiment: Experiment) -> list[Ability]:
 
 
 def _guidance(experiment: Experiment) -> Iterator[Default]:
+    """In wrench mode the law's force holds the vehicle on a slope, else the rest of the force."""
     every = _abilities(experiment)
     weakest = min(every, key=lambda one: one.accel)
     slowest = min(every, key=lambda one: one.spin)
     slope, _ = slopes(experiment.table.tilt)
     spread = max(s.model.tolerance.thrust for s in experiment.vehicles.values())
     a = weakest.accel
-    most = max(LEAST_SHARE, 1.0 - 2.0 * spread - slope / a)
+    holds = experiment.guidance.mode == "wrench"
+    most = max(LEAST_SHARE, 1.0 - 2.0 * spread - (0.0 if holds else slope / a))
+    brisk = BRISK + slope if holds else BRISK
+    less = "" if holds else f" - slope {slope:.2g} m/s^2"
+    more = f" and the slope {slope:.2g} m/s^2" if holds else ""
     yield Default(
-        ("guidance", "force_share"), min(most, max(SHARE, BRISK / a)),
-        f"at least {SHARE:g}, and {BRISK:g} m/s^2 of the {a:.3g} m/s^2 of {weakest.name};"
-        f" at most {most:.2f} = 1 - twice the thrust's spread {spread:g} - slope {slope:.2g} m/s^2",
+        ("guidance", "force_share"), min(most, max(SHARE, brisk / a)),
+        f"at least {SHARE:g}, and {BRISK:g} m/s^2{more} of the {a:.3g} m/s^2 of {weakest.name};"
+        f" at most {most:.2f} = 1 - twice the thrust's spread {spread:g}{less}",
     )  # fmt: skip
     yield Default(
         ("guidance", "heading_accel"), min(FASTEST_TURN, TURNING * slowest.spin),
@@ -189,6 +196,17 @@ def _gate(experiment: Experiment) -> Iterator[Default]:
     yield Default(
         ("flight", "gate", "pose_timeout_s"), blind + 2.0 * flight.jet_period_s,
         f"two jet periods after {blind:.2g} s, for which a prediction stays within its room",
+    )  # fmt: skip
+
+
+def _arming(experiment: Experiment) -> Iterator[Default]:
+    """A pose of slow or late cameras is older; one frame may be lost, as for `pose_stale`."""
+    mocap, usual = experiment.table.mocap, ArmingParams().pose_age_s
+    oldest = mocap.latency_s + 2.0 / mocap.rate_hz + 8.0 * mocap.jitter_s
+    yield Default(
+        ("arming", "pose_age_s"), max(usual, oldest),
+        f"latency {mocap.latency_s:g} s, two frames of {1.0 / mocap.rate_hz:.3g} s and eight times"
+        f" the jitter {mocap.jitter_s:g} s; at least {usual:g} s",
     )  # fmt: skip
 
 

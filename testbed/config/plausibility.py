@@ -133,6 +133,14 @@ def _flight(experiment: Experiment, setup: VehicleSetup) -> Iterator[tuple[str, 
             f"the way to the goal takes about {1e3 * gas:.2g} g of gas, the tank has"
             f" {1e3 * filled:.3g} g; is air.exhaust_speed in m/s?",
         )
+    elif (gas := gas_for(setup.model, experiment.table.tilt, experiment.duration_s)) > filled:
+        lasts = experiment.duration_s * filled / gas
+        yield (
+            "gas",
+            f"floating and holding against the slope takes at least {1e3 * gas:.3g} g of gas in"
+            f" {experiment.duration_s:g} s, the tank has {1e3 * filled:.3g} g: it lasts for"
+            f" {lasts:.0f} s at most",
+        )
     if not isinstance(experiment.controller, BLIND):
         return
     for name, obstacle in experiment.obstacles.items():
@@ -162,6 +170,14 @@ def gas_to_goal(experiment: Experiment, setup: VehicleSetup) -> float:
     way = math.dist(setup.start[:2], setup.goal[:2])
     speed = min(experiment.flight.barrier.max_speed, 2.0 * way / time if time else 0.0)
     return 2.0 * model.mass * speed / model.air.exhaust_speed + time * model.air.bearing_flow
+
+
+def gas_for(vehicle: Vehicle, tilt: Tilt, time: float) -> float:
+    """Lower bound of the gas for floating and holding still on the table's mean slope [kg]."""
+    nodes = np.array([node for row in tilt.map for node in row] or [(0.0, 0.0)])
+    slope = float(np.hypot(*(nodes.mean(axis=0) + tilt.uniform)))
+    air, force = vehicle.air, min(vehicle.mass * slope, weakest_force(vehicle))
+    return time * (force / air.exhaust_speed + air.bearing_flow)
 
 
 def _gap(start: tuple[float, ...], end: tuple[float, ...], point: tuple[float, ...]) -> float:

@@ -26,6 +26,8 @@ DOUBTED = {  # what is changed: what is said
     "inertia in other units": ([f"{MODEL}.inertia=0.003"], ["inertia"]),
     "jets that weaken each other": ([f"{MODEL}.air.droop=0.54"], ["droop"]),
     "exhaust speed in km/s": ([f"{MODEL}.air.exhaust_speed=0.6"], ["exhaust-speed", "gas"]),
+    "longer than the tank lasts": (["duration_s=3600"], ["gas"]),
+    "as long as it lasts": (["duration_s=2000"], []),
     "a specific impulse": ([f"{MODEL}.air.exhaust_speed=61"], ["exhaust-speed"]),
     "a pulse that lasts a jet period": ([f"{MODEL}.valve.min_on_s=0.1"], ["pulse"]),
     "small demands that pwm never fires": (

@@ -74,6 +74,24 @@ def test_a_weak_vehicle_uses_more_of_its_force_and_a_strong_one_turns_no_faster(
     assert strong["flight.estimator.force_noise"] > usual["flight.estimator.force_noise"]
 
 
+def test_a_law_that_holds_against_the_slope_itself_keeps_the_force_for_it():
+    """Before, the slope was taken off: of 24 mm/s^2, 45 % were left to hold against 8 mm/s^2."""
+    steep = "vehicles.*.model.jets.*.thrust=0.2", "table.tilt.uniform=[0.008,0.0]"
+    tracked, own = derived(*steep), derived(*steep, "guidance.mode=wrench")
+    assert tracked["guidance.force_share"] == pytest.approx(0.9 - 0.008 / 0.032, abs=0.01)
+    assert own["guidance.force_share"] == pytest.approx(0.9)
+    assert derived("guidance.mode=wrench")["guidance.force_share"] == 0.6
+
+
+@pytest.mark.parametrize(
+    ("cameras", "age"),
+    [((), 0.1), (("rate_hz=10", "latency_s=0.03"), 0.238), (("latency_s=0.12",), 0.148)],
+)
+def test_poses_of_slow_cameras_are_old_enough_to_arm(cameras, age):
+    found = derived(*(f"table.mocap.{one}" for one in cameras))
+    assert found["arming.pose_age_s"] == pytest.approx(age)
+
+
 def test_slow_valves_narrow_the_loops():
     slow = derived("vehicles.*.model.valve.open_delay_s=0.2",
                    "vehicles.*.model.valve.close_delay_s=0.2")  # fmt: skip
