@@ -18,7 +18,7 @@ EARLY = 1e-3  # of a period: rounding of the times
 NOTE = (
     "the changes of the valve commands do not tell when in the log's time a period starts: it is"
     " taken at whole multiples of period_s, and the delay may be wrong by up to a period; give"
-    " phase_s in [valves] of the mapping"
+    " phase_s in [valves] of the mapping, or the right period_s"
 )
 
 

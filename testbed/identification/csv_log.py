@@ -16,6 +16,10 @@ Row = tuple[int, list[str]]  # number of a data row, from 1, and its cells
 GROUPED = re.compile(r"[-+]?\d{1,3}([,' ]\d{3})+(\.\d+)?|[-+]?\d+,\d+")
 COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?|[-+]?\d+,")  # a number with a decimal comma
 POINT = re.compile(r"[-+]?[\d,' ]*\.\d*([eE][-+]?\d+)?")  # a number with a decimal point
+CLOCK = re.compile(r"\d{1,4}[-/.:]\d{1,2}[-/.:]\d{1,4}.*")  # a date or a time of day
+MISSING = {"", "na", "n/a", "#n/a", "null", "none", "-", "--"}  # besides nan
+TRUTHS = {"true": 1.0, "false": 0.0}
+TOP = 60  # lines in which the names of the columns are looked for
 GZIP, ZIP, UTF_16 = b"\x1f\x8b", b"PK\x03\x04", (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -55,24 +59,54 @@ def read_rows(path: Path, wanted: set[str] | None) -> tuple[list[str], list[Row]
     lines = [line for line in _text(path).splitlines() if line.strip()]
     while lines and lines[0].startswith(("#", "%")):
         lines.pop(0)
-    head = lines.pop(0) if lines else ""
-    mark = max(",;\t", key=head.count)
-    names = [name.strip() for name in next(csv.reader([head], delimiter=mark), [])]
-    rows = list(enumerate((row for row in csv.reader(lines, delimiter=mark) if row), 1))
-    if twice := sorted({n for n in names if names.count(n) > 1}):
-        found = f"two columns {twice[0]!r}"
-        raise LogRefusedError(where=str(path), expected="one column of each name", found=found)
+    if not lines:
+        raise LogRefusedError(where=str(path), expected="names and numbers", found="an empty file")
+    above, mark, names = _head(lines, wanted)
+    if len(names) == 1 and wanted and len(wanted) > 1:
+        raise LogRefusedError(
+            where=str(path), expected="values with commas, semicolons or tabs between them",
+            found=repr(lines[above][:60]), hint="save it as CSV",
+        )  # fmt: skip
+    found = csv.reader(lines[above + 1 :], delimiter=mark, skipinitialspace=True)
+    rows = [(k, row) for k, row in enumerate(found, 1) if any(map(str.strip, row))]
+    twice = sorted({n for n in names if n and names.count(n) > 1 and (not wanted or n in wanted)})
+    if twice:
+        raise LogRefusedError(
+            where=str(path), expected="one column of each name", found=f"two columns {twice[0]!r}",
+            hint="give each column a name of its own, in the file and in the mapping",
+        )  # fmt: skip
     for number, row in rows:
+        while len(row) > len(names) and not row[-1].strip():
+            row.pop()
         if len(row) != len(names):
+            hint = "a file cut off, a note, or numbers with a comma inside (1,234 or 0,5)"
+            if number == 1:
+                hint = "delete the lines above the names of the columns, or begin them with #"
             raise LogRefusedError(
                 where=f"{path}, data row {number}",
-                expected=f"{len(names)} values as in the head",
-                found=f"{len(row)}",
-                hint="a file cut off, or numbers with a comma inside (1,234 or 0,5)",
-            )
+                expected=f"{len(names)} values as in the head", found=f"{len(row)}", hint=hint,
+            )  # fmt: skip
     if mark != ",":
         _with_points(rows, [k for k, name in enumerate(names) if not wanted or name in wanted])
     return names, rows
+
+
+def _head(lines: Sequence[str], wanted: set[str] | None) -> tuple[int, str, list[str]]:
+    """Number of the line with the names, what separates them, and the names.
+
+    Exports of motion capture have lines of notes above: the names are those that are wanted. Where
+    no line has them, the first one counts.
+    """
+    found = [_split(line) for line in lines[:TOP]]
+    k = next((k for k, (_, names) in enumerate(found) if wanted and wanted.issubset(names)), 0)
+    return k, *found[k]
+
+
+def _split(line: str) -> tuple[str, list[str]]:
+    """What separates the cells of a line, and the cells."""
+    mark = max(",;\t", key=line.count)
+    cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+    return mark, [cell.strip() for cell in cells]
 
 
 def _with_points(rows: Sequence[Row], columns: Sequence[int]) -> None:
@@ -91,6 +125,8 @@ def _text(path: Path) -> str:
         data = gzip.decompress(data)
     if data.startswith(UTF_16):
         return data.decode("utf-16")
+    if data[:64] and not any(data[1:64:2]):  # without a mark, and the names are ASCII
+        return data.decode("utf-16-le")
     if data.startswith(ZIP) or b"\0" in data[:4096]:
         what = "a spreadsheet or a zip file: save it as CSV" if data.startswith(ZIP) else "binary"
         raise LogRefusedError(where=str(path), expected="a CSV, .mat or .mcap file", found=what)
@@ -116,13 +152,24 @@ def _numbers(path: Path, name: str, column: int, rows: Sequence[Row], *, must: b
         try:
             values[k] = float(cell) if cell else np.nan
         except ValueError:
-            if not must:
+            if cell.lower() in MISSING:
+                values[k] = np.nan
+            elif cell.lower() in TRUTHS:
+                values[k] = TRUTHS[cell.lower()]
+            elif not must:
                 return np.full(len(rows), np.nan)
-            hint = "if this is a row of units, delete it" if number == 1 else ""
-            if GROUPED.fullmatch(cell):
-                hint = "numbers with thousands separators or a decimal comma: write 1234.5"
-            raise LogRefusedError(
-                where=f"{path}, column {name!r}, data row {number}",
-                expected="a number", found=repr(cell), hint=hint,
-            ) from None  # fmt: skip
+            else:
+                raise LogRefusedError(
+                    where=f"{path}, column {name!r}, data row {number}", expected="a number",
+                    found=repr(cell), hint=_advice(cell, number),
+                ) from None  # fmt: skip
     return values
+
+
+def _advice(cell: str, number: int) -> str:
+    """What to do about a cell that is no number."""
+    if CLOCK.fullmatch(cell):
+        return "a date or a time of day: write seconds since any start, with all digits"
+    if GROUPED.fullmatch(cell) or (cell[:1].isdigit() and "," in cell):
+        return "numbers with thousands separators or a decimal comma: write 1234.5"
+    return "if this is a row of units, delete it" if number == 1 else "leave a missing pose empty"

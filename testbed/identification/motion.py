@@ -26,6 +26,7 @@ IDENTIFIABLE = (
     0.6  # standard deviation over that of the prior: above, the log does not tell the number
 )
 EARLY = 1e-3  # [s] before the command: a delay that is warned of
+LATE = 0.08  # [s] later than in the file: the same
 SURE = 1.96  # standard deviations of a 95 % interval
 
 
@@ -122,13 +123,21 @@ def _calibrated(
     progress("hold what the logs do not tell")
     found = Calibration(vehicle, model, estimate, wide, chosen, gains, jets, doubts, windows, [])
     found = _settled(found)
-    found = found._replace(suspicions=[*found.suspicions, *_too_early(found)])
+    found = found._replace(suspicions=[*found.suspicions, *_out_of_time(found)])
     return found._replace(vehicle=model.fitted(found.estimate.p))
 
 
-def _too_early(c: Calibration) -> list[Suspicion]:
-    """A delay that no vehicle can have."""
-    late = float(c.estimate.p[c.model.index("delay")])
+def _out_of_time(c: Calibration) -> list[Suspicion]:
+    """A delay that no vehicle can have, or that is much longer than the file's."""
+    k = c.model.index("delay")
+    late, file = float(c.estimate.p[k]), c.model.parameters[k].value
+    if late - file > LATE and interval(c, k)[0] - file > 0.5 * LATE:
+        text = (
+            f"the vehicle moves {1e3 * late:.3g} ms after its commands, {1e3 * file:.3g} ms in the"
+            " file: old poses (`latency_s` of [pose]), commands that wait, or the times of two"
+            " clocks? Then it is no delay of the valves"
+        )
+        return [Suspicion("long-delay", text, refuses=False)]
     if late > -EARLY:
         return []
     causes = ["a wrong `latency_s` of [pose]", "poses and commands with the times of two clocks"]
@@ -308,7 +317,7 @@ def identifiable(calibration: Calibration, k: int) -> bool:
     """Whether the logs tell the number `k` of the model."""
     c = calibration
     told = k in c.wide.free and k not in c.held
-    always = c.model.parameters[k].group in ("delay", "slope", "droop")  # a fit needs these
+    always = c.model.parameters[k].group in ("slope", "droop")  # a fit needs these
     far = c.wide.sigma[k] if always else reach(c, k)
     return bool(told and far < IDENTIFIABLE * c.model.sigma[k])
 

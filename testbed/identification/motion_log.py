@@ -16,6 +16,7 @@ from testbed.identification.prediction import Inputs, Wrenches, pulses, shares
 Array = NDArray[np.float64]
 PAUSE = 4.5  # a gap in the rows is longer than this many usual intervals
 FEWEST_POSES = 10
+UPRIGHT = 0.94  # cosine of a body's tilt: 20 deg
 
 
 class MotionLog(NamedTuple):
@@ -50,13 +51,13 @@ def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
         columns[name]  # refuses a missing one
     t = columns.whole(mapping.time.column) * SECONDS[mapping.time.unit]
     check_clock(t, str(path), mapping)
-    pose, measured = _poses(columns, mapping)
+    pose, measured, lost = _poses(columns, mapping)
     inputs, unsure = _inputs(columns, mapping, t)
     usable = np.ones(len(t), dtype=bool)
     for name, values in mapping.use.items():
         usable &= np.isin(columns[name], values)
     kept = measured & usable
-    notes = gaps(t) + unsure
+    notes = gaps(t) + lost + unsure
     if kept.sum() < FEWEST_POSES:
         raise LogRefusedError(
             where=str(path),
@@ -78,19 +79,22 @@ def check_clock(t: Array, where: str, mapping: Mapping) -> None:
     step = np.diff(t)
     if np.any(step <= 0.0):
         k = int(np.argmax(step <= 0.0))
+        hint = "a clock jump, two logs, or two vehicles: [rows] of the mapping chooses one"
+        if step[k] == 0.0:
+            hint += "; or times that were rounded: write more digits"
         raise LogRefusedError(
             where=f"{where}, data row {k + 2}", expected="a time after the row before",
-            found=f"{t[k]:.6g} s, then {t[k + 1]:.6g} s",
-            hint="a clock jump, two logs, or two vehicles: [rows] of the mapping chooses one",
+            found=f"{t[k]:.15g} s, then {t[k + 1]:.15g} s", hint=hint,
         )  # fmt: skip
     usual = float(np.median(step))
     period = mapping.valves.period_s if mapping.valves else None
-    low, high = (0.2e-3, 2.0) if period is None else (1e-3 * period, 2.5 * period)
+    low, high = (0.2e-3, 2.0) if period is None else (3e-3 * period, 2.5 * period)
     if not low <= usual <= high:
         raise LogRefusedError(
             where=f"{where}, column {mapping.time.column!r}",
             expected=f"rows {low:.3g} to {high:.3g} s apart", found=f"{usual:.4g} s",
-            hint=f"is the unit of time {mapping.time.unit!r}? 1000 times off means ms or us",
+            hint=f"is the unit of time {mapping.time.unit!r}? 1000 times off means ms or us; the"
+            " number of a frame is no time",
         )  # fmt: skip
 
 
@@ -100,7 +104,7 @@ def gaps(t: Array) -> list[str]:
     usual = float(np.median(step))
     found = np.flatnonzero(step > PAUSE * usual)
     notes = [
-        f"gap: {step[k]:.3g} s without rows after t = {t[k]:.6g} s (or the clock jumped);"
+        f"gap: {step[k]:.3g} s without rows after t = {t[k]:.15g} s (or the clock jumped);"
         " nothing is fitted across it"
         for k in found[:5]
     ]
@@ -109,7 +113,8 @@ def gaps(t: Array) -> list[str]:
     return notes
 
 
-def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]]:
+def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_], list[str]]:
+    """Poses, which of them are measurements, and notes."""
     own = mapping.pose
     x, y = columns[own.x], columns[own.y]
     if own.quaternion:
@@ -117,7 +122,10 @@ def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np
     else:
         theta = columns[own.theta or ""] * RADIANS[own.angle_unit]
     pose = np.stack([x * METRES[own.unit], y * METRES[own.unit], theta], 1)
-    measured: NDArray[np.bool_] = np.asarray(np.isfinite(pose).all(axis=1))
+    nowhere, notes = (pose == 0.0).all(axis=1), []  # as some cameras write a body that they lost
+    if nowhere.any():
+        notes = [f"lost body: {nowhere.sum()} rows have the pose 0, 0, 0 and are left out"]
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(pose).all(axis=1) & ~nowhere)
     if own.new:
         measured &= columns[own.new] == 1.0
     if not own.new:  # a pose repeated to the last digit is an old one
@@ -129,7 +137,7 @@ def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np
     pose[:, 1] -= own.middle[1]
     rows = np.flatnonzero(measured)
     pose[rows, 2] = np.unwrap(pose[rows, 2])
-    return pose, measured
+    return pose, measured, notes
 
 
 def _heading(columns: NumericColumns, names: tuple[str, ...]) -> Array:
@@ -142,6 +150,15 @@ def _heading(columns: NumericColumns, names: tuple[str, ...]) -> Array:
         raise LogRefusedError(
             where=f"{columns.where}, columns {', '.join(names)}", expected="unit quaternions",
             found=f"a length off by {off:.2g}", hint="the order is x, y, z, w",
+        )  # fmt: skip
+    upright = np.nanmedian(1.0 - 2.0 * (x * x + y * y)) if np.isfinite(w).any() else 1.0
+    if upright < UPRIGHT:
+        raise LogRefusedError(
+            where=f"{columns.where}, columns {', '.join(names)}",
+            expected="a body that lies flat and turns about z",
+            found=f"a body tilted by {np.degrees(np.arccos(max(-1.0, upright))):.0f} deg",
+            hint="the order is x, y, z, w; of a frame with y up name z, x, y, w, and z and x for"
+            " the position",
         )  # fmt: skip
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 

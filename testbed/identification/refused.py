@@ -7,6 +7,7 @@ from testbed.core.error import TestbedError
 from testbed.core.spelling import did_you_mean
 
 Array = NDArray[np.float64]
+MOST = 60  # names of columns in a message
 
 
 class LogRefusedError(TestbedError):
@@ -25,7 +26,7 @@ class NumericColumns(dict[str, Array]):
             where=self.where,
             expected=f"a column {name!r}, named by the mapping or an option",
             found=f"no such column{did_you_mean(name, list(self))}",
-            hint=f"the columns are: {', '.join(self)}",
+            hint=f"the columns are: {', '.join(list(self)[:MOST])}" + " ..." * (len(self) > MOST),
         )
 
     def whole(self, name: str) -> Array:

@@ -33,7 +33,16 @@ UNEXPLAINED = 0.04  # on a table with steep slopes little of the motion is comma
 FARTHER = 5.0  # than the pose before the last: it is another vehicle's
 SAME_PLACE = 0.005  # [m] of a jet
 SAME_MASS = 0.05  # relative
-UNITS = {"mm": 1000.0, "cm": 100.0, "inches": 39.37, "km": 0.001}
+STILL = 0.12  # of the motion that the commands ask for: less is no motion
+LEAST = (3e-4, 3e-4, 1e-3)  # [m, m, rad] of that motion, to say so
+ASIDE = 0.07  # [rad] by which the motion may go aside of the commands: 4 deg
+SURELY = 5.0  # standard deviations
+ENOUGH = 8  # windows that tell that angle
+LOST = 100.0  # [m] from the other poses
+UNITS = {
+    "mm read as m": 1e3, "cm read as m": 1e2, "inches read as m": 39.37, "m read as cm": 1e-2,
+    "m read as mm": 1e-3,
+}  # fmt: skip
 
 
 class Suspicion(NamedTuple):
@@ -54,6 +63,8 @@ class MappingFit(NamedTuple):
     other: str  # the reading that explains most
     explained: float  # its share
     delay: float  # [s]
+    aside: float  # angle from the commanded to the measured motion [rad]
+    aside_sigma: float
 
 
 def look_at(logs: Sequence[MotionLog], vehicle: Vehicle, *, steep: bool = False) -> MappingFit:
@@ -152,11 +163,17 @@ def _judge(found: list[list[Array]], delay: float) -> MappingFit:
         power = max(float(np.sum(np.abs(path) ** 2)), 1e-18)
         scale = float(np.real(np.vdot(path, z))) / power
         plain = 1.0 - float(np.sum(np.abs(z - max(scale, 0.0) * path) ** 2)) / total
+        c = complex(np.vdot(path, z) / power)
         if turn == 0:
-            c = np.vdot(path, z) / power
             size = np.array([np.sqrt(np.mean(np.abs(w[:, 0] - c * w[:, 2]) ** 2)) for w in windows])
             limit = 2.0 * max(float(np.median(size)), 1e-9)
             weights = np.minimum(1.0, limit / np.maximum(size, 1e-12))
+    pull = [
+        np.imag(np.vdot(c * w[:, 2], w[:, 0] - c * w[:, 2])) * k
+        for w, k in zip(windows, weights, strict=True)
+    ]
+    aside_sigma = float(np.sqrt(np.sum(np.square(pull)))) / max(abs(c) ** 2 * power, 1e-18)
+    aside = cmath.phase(c)
     best, explained = "", plain
     for k, reading in enumerate(READINGS):
         for mirrored in (False, True):
@@ -170,7 +187,9 @@ def _judge(found: list[list[Array]], delay: float) -> MappingFit:
     theta = np.real(stack[:, 1])
     turn_scale = float(q @ theta) / max(float(q @ q), 1e-18)
     left = float(np.sum((theta - turn_scale * q) ** 2)) / max(float(theta @ theta), 1e-18)
-    return MappingFit(plain, scale, 1.0 - left, turn_scale, best, explained, delay)
+    return MappingFit(
+        plain, scale, 1.0 - left, turn_scale, best, explained, delay, aside, aside_sigma
+    )
 
 
 def _named(reading: str, mirrored: bool, c: complex) -> str:
@@ -183,15 +202,18 @@ def _named(reading: str, mirrored: bool, c: complex) -> str:
 
 
 WORDS = {
-    "heading-sign": "the heading counts clockwise; expected counter-clockwise",
+    "heading-sign": "the heading counts clockwise; expected counter-clockwise; or the valves are"
+    " counted the other way round",
     "unit-angle": "the heading is in degrees where the mapping says rad, or the reverse",
     "quaternion": "the heading is a component of a quaternion; see `quaternion` of the mapping",
     "frame": "the forces are in the other frame: table and body are exchanged",
     "mirrored-y": "y points the other way: the axes are not right-handed",
     "mirrored-x": "x points the other way: the axes are not right-handed",
     "axes-swapped": "x and y are exchanged",
-    "frame-turned": "the axes of the log are turned against the heading",
-    "signs-turned": "forces and motion have opposite signs: x and y reversed, or heading off by pi",
+    "frame-turned": "the axes of the log are turned against the heading, or the valves are counted"
+    " from another jet",
+    "signs-turned": "forces and motion have opposite signs: x and y reversed, heading off by pi,"
+    " or 1 and 0 of the valves exchanged",
 }
 
 
@@ -208,18 +230,21 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
         yield from implausible
         return
     found = look_at(logs, vehicle)
-    for unit, factor in UNITS.items():
-        if 0.3 < found.scale / factor < 3.0 and found.plain > 0.2:
-            text = (
-                f"positions move {found.scale:.3g} times as far as commanded: are they in {unit}?"
-            )
-            yield Suspicion("unit-position", text)
-            return
+    unit = min(UNITS, key=lambda name: abs(np.log(abs(found.scale) / UNITS[name] + 1e-30)))
+    if 0.3 < found.scale / UNITS[unit] < 3.0 and found.plain > 0.2:
+        text = f"positions move {found.scale:.3g} times as far as commanded: {unit}?"
+        yield Suspicion("unit-position", f"{text} Or open times in another unit")
+        return
     for factor, unit in ((57.3, "degrees"), (1 / 57.3, "radians")):
         if 0.4 < found.turn_scale / factor < 2.5 and found.turn > 0.2:
             text = f"the heading turns {found.turn_scale:.3g} times as far as commanded: in {unit}?"
             yield Suspicion("unit-angle", text)
             return
+    unsteady = [_Parts(log, vehicle, steep=True).at(found.delay) for log in logs]
+    still = _still(logs, [window for part in unsteady for window in part])
+    if still:
+        yield Suspicion("no-motion", still)
+        return
     axes = steep = found
     if found.plain < DOUBTFUL:  # a steep table pushes too: judge by what is not steady
         steep = look_at(logs, vehicle, steep=True)
@@ -250,6 +275,40 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
     if found.turn_scale < -0.2 and found.turn > 0.3 and turns:
         text = "the vehicle turns against its commanded torque: heading or jets mirrored"
         yield Suspicion("heading-sign", text)
+    elif aside := _aside(unsteady):
+        yield Suspicion("heading-off", aside, refuses=False)
+
+
+def _aside(parts: list[list[Array]]) -> str:
+    """By how much the motion goes aside of the commands, steady pushes apart; or nothing."""
+    look = _judge(parts, 0.0)
+    sure = look.plain > DOUBTFUL and sum(map(len, parts)) >= ENOUGH
+    if not sure or abs(look.aside) < max(ASIDE, SURELY * look.aside_sigma):
+        return ""
+    return (
+        f"the vehicle moves {np.degrees(look.aside):+.1f} deg aside of its commands: its body in"
+        " motion capture is turned against its file by so much, or its nozzles are"
+    )
+
+
+def _still(logs: Sequence[MotionLog], windows: Sequence[Array]) -> str:
+    """What hardly moves where the commands ask for motion, steady pushes apart; or nothing."""
+    stack = np.concatenate(windows)
+    seen = (stack[:, 1].real, stack[:, 0].real, stack[:, 0].imag)
+    asked = (stack[:, -1].real, stack[:, 2].real, stack[:, 2].imag)
+    torque = any(
+        isinstance(log.inputs, Valves) or bool(np.any(log.inputs.wrench[:, 2])) for log in logs
+    )
+    names, units = ("the heading", "x", "y"), ("rad", "m", "m")
+    for k in range(0 if torque else 1, 3):
+        there, wanted = (float(np.sqrt(np.mean(one[k] ** 2))) for one in (seen, asked))
+        if wanted > LEAST[2 - k] and there < STILL * wanted:
+            other = "a quaternion in another order or frame" if k == 0 else "the height"
+            return (
+                f"{names[k]} moves by {there:.2g} {units[k]} where the commands ask for"
+                f" {wanted:.2g} {units[k]}: a constant column, {other}, or no air"
+            )
+    return ""
 
 
 def _is_right(turn: float, turn_scale: float, scale: float) -> bool:
@@ -282,7 +341,11 @@ def _plausible(log: MotionLog) -> Iterator[Suspicion]:
         yield Suspicion("two-vehicles", text + " [rows] of the mapping chooses one")
         return
     reach = np.ptp(kept[:, :2], axis=0)
-    if reach.max() > 100.0:
+    apart = np.abs(kept[:, :2] - np.median(kept[:, :2], axis=0)).max(axis=1) > LOST
+    if 0 < apart.sum() < 0.3 * len(kept):
+        text = f"{log.where}: {apart.sum()} of {len(kept)} poses are more than {LOST:g} m from the"
+        yield Suspicion("lost-poses", f"{text} others: a lost body's? Leave such cells empty")
+    elif reach.max() > LOST:
         yield Suspicion("unit-position", f"{log.where}: the path spans {reach.max():.4g} m: in mm?")
     elif max(reach.max(), 0.2 * float(np.ptp(kept[:, 2]))) < 1e-3:
         yield Suspicion("no-motion", f"{log.where}: the vehicle moves less than 1 mm")
@@ -290,6 +353,7 @@ def _plausible(log: MotionLog) -> Iterator[Suspicion]:
     dt = np.diff(log.t[log.whole])
     if len(step) and float(np.quantile(step / dt, 0.9)) > 6.0:
         text = f"{log.where}: the heading turns faster than a turn per second: degrees read as rad?"
+        text += " Or a wrong unit of time"
         yield Suspicion("unit-angle", text)
 
 

@@ -104,3 +104,17 @@ def test_a_negative_delay_is_named_and_its_comment_true(flight, floater, tmp_pat
     save(path, found, "generic_8jet", [early], date(2026, 1, 1))
     line = next(one for one in path.read_text().splitlines() if one.startswith("open_delay_s"))
     assert line.startswith("open_delay_s = 0.0  # delay: 0, because no delay is negative")
+
+
+def test_a_delay_with_a_wide_interval_keeps_the_files_value(floater):
+    rng = np.random.default_rng(2)
+    truth = structs.replace(
+        floater,
+        jets=[structs.replace(jet, thrust=0.8 * jet.thrust) for jet in floater.jets],
+        air=structs.replace(floater.air, droop=0.5),
+    )
+    log = flown_log(truth, None, sparse(floater, 10.0, 0.05, rng), 10.0, rng, rate=10.0)
+    found = calibrate_motion([log], floater, force=True)
+    row = report_of(found, "generic_8jet", [log])["parameters"]["delay"]
+    assert not row["identifiable"]
+    assert row["value"] == floater.valve.open_delay_s

@@ -3,6 +3,8 @@
 import csv
 import gzip
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from scipy.io import savemat
 from lab_mcap import write_mcap
 from testbed.cli.main import main
 from testbed.config import ConfigError
+from testbed.identification.calibration_file import span
 from testbed.identification.columns import LogRefusedError
 from testbed.identification.mapping import load_mapping
 from testbed.identification.motion_log import read_motion_log
@@ -47,6 +50,14 @@ def in_german(text):
         ("lines.csv", lambda text: text.replace("\n", "\r\n").encode()),
         ("german.csv", lambda text: in_german(text).encode()),
         ("tabs.tsv", lambda text: text.replace(",", "\t").encode()),
+        ("bare.txt", lambda text: text.encode("utf-16-le")),
+        ("excel.csv", lambda text: f"sep=;\n{text.replace(',', ';')}".encode()),
+        (
+            "spaced.csv",
+            lambda text: re.sub(r"[^,\n]+", r'"\g<0>"', text).replace(",", ", ").encode(),
+        ),
+        ("padded.csv", lambda text: text.replace("\n", ",,\n").encode() + b",,,\n,,,\n"),
+        ("export.csv", lambda text: b"Format Version,1.23,Rate,120\n\nTake 7\n" + text.encode()),
         ("noted.csv", lambda text: f"# gr\u00fcn\n% {text}".replace("% ", "").encode("latin-1")),
     ],
 )
@@ -65,7 +76,7 @@ def test_the_same_log_written_otherwise_is_the_same_log(files, tmp_path, name, w
         (b"PK\x03\x04rest", "save it as CSV"),
         (b"t_s,x_m\0", "binary"),
         (b"\x1f\x8bbroken", "a CSV, .mat or .mcap file"),
-        (b"", "no such column"),
+        (b"", "an empty file"),
     ],
 )
 def test_a_file_that_is_no_text_is_refused(files, tmp_path, data, words):
@@ -83,7 +94,91 @@ def test_a_row_of_units_is_named(files, tmp_path):
         read(path, files[0])
 
 
+def test_values_with_no_mark_between_them_are_named(files, tmp_path):
+    path = tmp_path / "spaces.csv"
+    path.write_text(text_of(*rows_of(files[1]), " "))
+    with pytest.raises(LogRefusedError, match="commas, semicolons or tabs between"):
+        read(path, files[0])
+
+
+def test_only_a_column_that_is_used_needs_a_name_of_its_own(files, tmp_path):
+    mapping, log, _ = files
+    head, rows = rows_of(log)
+    path = tmp_path / "twice.csv"
+    path.write_text(text_of([*head, "note", "note"], [[*row, "1", "2"] for row in rows]))
+    np.testing.assert_array_equal(read(path, mapping).pose, read(log, mapping).pose)
+    path.write_text(text_of([*head, "x_m"], [[*row, "1"] for row in rows]))
+    with pytest.raises(LogRefusedError, match="two columns 'x_m'"):
+        read(path, mapping)
+
+
+def test_times_of_day_are_named(files, tmp_path):
+    head, rows = rows_of(files[1])
+    path = tmp_path / "utc.csv"
+    for stamp in ("2026-11-28T09:00:00.05Z", "09:00:00.05", "28.11.2026 09:00:00"):
+        path.write_text(text_of(head, [[stamp, *row[1:]] for row in rows]))
+        with pytest.raises(LogRefusedError, match="seconds since any start"):
+            read(path, files[0])
+
+
+def test_times_since_1970_are_read_and_named_with_all_digits(files, tmp_path):
+    mapping, log, _ = files
+    head, rows = rows_of(log)
+    late = [[repr(1.8e9 + float(row[0])), *row[1:]] for row in rows]
+    path = tmp_path / "epoch.csv"
+    path.write_text(text_of(head, late))
+    np.testing.assert_allclose(read(path, mapping).t - 1.8e9, read(log, mapping).t, atol=1e-6)
+    assert span(read(path, mapping)).endswith("of t = 1800000000 to 1800000059.95 s")
+    path.write_text(text_of(head, [*late[:9], *late[8:]]))
+    with pytest.raises(LogRefusedError, match=r"1800000000\.4 s, then 1800000000\.4 s"):
+        read(path, mapping)
+
+
+def test_seconds_that_are_called_milliseconds_are_refused_where_a_row_is_a_period(files, tmp_path):
+    mapping = changed(files, tmp_path, 'column = "t_s"', 'column = "t_s"\nunit = "ms"')
+    head, rows = rows_of(files[1])
+    path = tmp_path / "slow.csv"
+    path.write_text(text_of(head, [["%.3f" % (0.11 * k), *row[1:]] for k, row in enumerate(rows)]))
+    with pytest.raises(LogRefusedError, match="is the unit of time 'ms'"):
+        read(path, mapping)
+
+
+@pytest.mark.parametrize("cell", ["", "NaN", "NA", "N/A", "#N/A", "null", "None", "-", "0.0"])
+def test_the_pose_of_a_lost_body_is_left_out(files, tmp_path, cell):
+    mapping, log, _ = files
+    head, rows = rows_of(log)
+    for row in rows[300:700:40]:
+        row[1:4] = [cell] * 3
+    path = tmp_path / "lost.csv"
+    path.write_text(text_of(head, rows))
+    found, whole = read(path, mapping), read(log, mapping)
+    np.testing.assert_array_equal(found.t, np.delete(whole.t, np.s_[300:700:40]))
+    assert any("lost body: 10 rows" in note for note in found.notes) == (cell == "0.0")
+
+
+def test_poses_far_from_all_others_are_named(files, tmp_path, floater):
+    head, rows = rows_of(files[1])
+    for row in rows[300:700:40]:
+        row[1] = row[2] = "-9999"
+    path = tmp_path / "far.csv"
+    path.write_text(text_of(head, rows))
+    assert [s.name for s in suspicions([read(path, files[0])], floater)] == ["lost-poses"]
+
+
+def test_states_may_be_words(files, tmp_path):
+    head, rows = rows_of(files[1])
+    mapping = changed(files, tmp_path, '"duty"', '"state"')
+    ones = [[*row[:4], *(str(int(float(c) > 0)) for c in row[4:])] for row in rows]
+    words = [[*row[:4], *(str(float(c) > 0) for c in row[4:])] for row in rows]
+    found = []
+    for name, table in (("ones.csv", ones), ("words.csv", words)):
+        (tmp_path / name).write_text(text_of(head, table))
+        found.append(read(tmp_path / name, mapping).inputs.up)
+    np.testing.assert_array_equal(*found)
+
+
 QUATERNION = 'quaternion = ["qx", "qy", "qz", "qw"]'
+YUP = 'quaternion = ["QZ", "QX", "QY", "QW"]'  # as docs/calibrate.md has it
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +211,26 @@ def test_a_quaternion_is_a_heading(files, tmp_path, turned):
 def test_a_quaternion_in_another_order_is_refused(files, tmp_path, turned):
     wrong = QUATERNION.replace('"qx"', '"x_m"')
     with pytest.raises(LogRefusedError, match="the order is x, y, z, w"):
+        read(turned, changed(files, tmp_path, 'theta = "theta_rad"', wrong))
+
+
+def test_an_export_with_y_up_is_read_as_the_page_says(files, tmp_path, turned):
+    head, rows = rows_of(turned)
+    names = {"x_m": "Z", "y_m": "X", "qx": "QZ", "qy": "QX", "qz": "QY", "qw": "QW"}
+    path = tmp_path / "up.csv"
+    path.write_text(text_of([names.get(name, name) for name in head], rows))
+    mapping = changed(files, tmp_path, 'theta = "theta_rad"', YUP)
+    mapping.write_text(mapping.read_text().replace("x_m", "Z").replace("y_m", "X"))
+    page = Path(__file__).parents[2] / "docs" / "calibrate.md"
+    assert YUP in page.read_text()
+    np.testing.assert_allclose(read(path, mapping).pose, read(files[1], files[0]).pose, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [(3, 0, 1, 2), (1, 2, 3, 0), (2, 3, 0, 1)])
+def test_a_quaternion_of_another_axis_is_refused(files, tmp_path, turned, order):
+    names = [QUATERNION.split('"')[1 + 2 * k] for k in order]
+    wrong = "quaternion = [" + ", ".join(f'"{name}"' for name in names) + "]"
+    with pytest.raises(LogRefusedError, match="turns about z"):
         read(turned, changed(files, tmp_path, 'theta = "theta_rad"', wrong))
 
 

@@ -7,6 +7,7 @@ from testbed.config import ConfigError
 from testbed.core.error import TestbedError
 from testbed.identification.columns import LogRefusedError
 from testbed.identification.mapping import load_mapping
+from testbed.identification.motion import calibrate_motion
 from testbed.identification.motion_log import read_motion_log
 from testbed.identification.suspicion import suspicions
 
@@ -33,11 +34,41 @@ def test_a_good_log_is_not_suspected(flight, floater):
         (lambda p: p * [1000, 1000, 1], "unit-position"),
         (lambda p: p * [100, 100, 1], "unit-position"),
         (lambda p: 0.0 * p, "no-motion"),
+        (lambda p: p * [0, 1, 1], "no-motion"),
+        (lambda p: p * [1, 0, 1], "no-motion"),
+        (lambda p: p * [1, 1, 0], "no-motion"),
         (lambda p: np.roll(p, 400, axis=0), "unexplained"),
     ],
 )
 def test_a_changed_pose_is_named(flight, floater, change, name):
     assert name in names(flight[1]._replace(pose=change(flight[1].pose)), floater)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1e3, "mm read"), (1e2, "cm read"), (39.37, "inches read"), (1e-3, "as mm")],
+)
+def test_the_unit_of_a_length_is_named(flight, floater, factor, words):
+    (found,) = suspicions([flight[1]._replace(pose=flight[1].pose * [factor, factor, 1])], floater)
+    assert found.name == "unit-position"
+    assert words in found.text or "in mm?" in found.text
+
+
+@pytest.mark.parametrize("turned", [10.0, -10.0])
+def test_a_body_that_is_turned_in_motion_capture_is_a_warning(flight, floater, turned):
+    log = flight[1]._replace(pose=np.add(flight[1].pose, [0, 0, np.radians(turned)]))
+    (found,) = suspicions([log], floater)
+    assert (found.name, found.refuses) == ("heading-off", False)
+    said = float(found.text.split(" deg aside")[0].split()[-1])
+    assert said == pytest.approx(-turned, abs=2.0)
+
+
+def test_commands_that_are_late_by_a_clock_are_a_warning(flight, floater):
+    log = flight[1]
+    later = log._replace(t=log.t + 0.3)
+    found = calibrate_motion([later], floater)
+    assert "long-delay" in [one.name for one in found.suspicions]
+    assert "long-delay" not in [one.name for one in calibrate_motion([log], floater).suspicions]
 
 
 def read(path, mapping):
