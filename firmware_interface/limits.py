@@ -64,9 +64,12 @@ def limits_of(vehicle: Vehicle, protection: Protection | None = None) -> Config:
     """
     guard = protection or Protection()
     if not 1 <= len(vehicle.jets) <= VALVES:
+        found = f"the vehicle has {len(vehicle.jets)} jets, the board drives 1 to {VALVES}"
         raise LimitsError(
-            f"the vehicle has {len(vehicle.jets)} jets, the board drives 1 to {VALVES}"
-        )
+            where="the jets of a vehicle", expected=f"1 to {VALVES} jets", found=found,
+            hint="only the twin flies it, with `testbed run`; boards, bench and commissioning"
+            " need a vehicle file with fewer jets",
+        )  # fmt: skip
     opposing = [0] * VALVES
     for i, j in opposing_pairs(vehicle.jets):
         opposing[i] |= 1 << j

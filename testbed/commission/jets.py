@@ -20,6 +20,7 @@ LATE_S = 0.012  # error of a delay that is healthy [s]
 WEAK = 0.1  # error of a jet's strength that is healthy, beside its tolerance
 COMMON = 0.05  # the same of all jets together
 DRAG = 0.06  # beyond the file's [1/s]
+ASIDE = 5.0  # of the pushes of all jets together, beside the alignment of nozzles [deg]
 UNCLEAR = 0.3  # largest error of a wrench, as a share of it
 SURE = 4.0  # standard deviations
 WHOLE = {  # what an error of the whole vehicle makes of a wrench (fx, fy, tau)
@@ -49,6 +50,7 @@ class Strength(NamedTuple):
     sigma: Array
     delay: Array  # beyond the file's [s]
     delay_sigma: Array
+    aside: Array  # angle from the file's push to the found one, counter-clockwise [rad]
 
 
 def flow_times(vehicle: Vehicle, on_s: float) -> tuple[float, float]:
@@ -125,15 +127,17 @@ def strength_of(vehicle: Vehicle, pulses: Sequence[Pulse]) -> Strength:
     n = len(vehicle.jets)
     columns = effect_matrix(vehicle.jets, about=vehicle.com)
     share, sigma, delay, unsure = np.ones(n), np.full(n, np.inf), np.zeros(n), np.full(n, np.inf)
+    aside = np.zeros(n)
     for pulse in pulses:
         found, error = wrench_of(vehicle, pulse)
         own = columns[:2, pulse.jet]
         j, square = pulse.jet, float(own @ own)
         share[j] = found[:2] @ own / square
         sigma[j] = float(np.hypot(*error[:2]) / np.sqrt(2.0 * square))
+        aside[j] = np.arctan2(own[0] * found[1] - own[1] * found[0], own @ found[:2])
         delay[j] = pulse.kick.delay - flow_times(vehicle, pulse.flow_s)[0]
         unsure[j] = pulse.kick.delay_sigma
-    return Strength(share, sigma, delay, unsure)
+    return Strength(share, sigma, delay, unsure, aside)
 
 
 def _expected(vehicle: Vehicle, pulses: Sequence[Pulse]) -> float:
@@ -203,7 +207,9 @@ def _strengths(
     weights = np.array([k.drag_sigma for k in kicks]) ** -2.0
     drag = float(weights @ [k.drag for k in kicks] / max(weights.sum(), 1e-9))
     late = float(np.median(found.delay[live]))
+    aside = float(np.degrees(np.median(found.aside[live])))
     numbers = {"thrust_share": common, "turning_share": turning, "drag_1_s": drag, "late_s": late}
+    numbers |= {"aside_deg": aside}
     numbers |= {f"jet{j + 1}_share": float(share[j]) for j in live}
 
     def say(code: str, text: str) -> None:
@@ -222,6 +228,11 @@ def _strengths(
     if abs(turning / common - 1.0) > 2.0 * COMMON + slack:
         text = f"they turn it by {turning / common:.0%} of the file's: inertia, arms, a wrong file"
         say("inertia", text)
+    unsure = np.degrees(float(np.median(found.sigma[live]))) / common
+    limit = ASIDE + (3.0 * spread.direction_deg + SURE * unsure) / np.sqrt(len(live))
+    if abs(aside) > limit:
+        text = f"all jets push {aside:+.0f} deg aside of the file's: the body in motion capture is"
+        say("body_aside", f"{text} turned against the vehicle's x, or `push` in the file is")
     early = 3.0 * lab.clock_s + LATE_S
     unsure = float(np.median(found.delay_sigma[live]))
     if abs(late) > early + SURE * unsure / np.sqrt(len(live)):

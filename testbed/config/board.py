@@ -17,7 +17,7 @@ def bad_board(experiment: Experiment) -> Iterator[Violation]:
             limits = limits_of(setup.model)
         except LimitsError as error:
             expected = 'a vehicle that the firmware can drive, or `board = "model"`'
-            yield Violation(("vehicles", name, "model"), expected, str(error))
+            yield Violation(("vehicles", name, "model"), expected, error.found or str(error))
             continue
         longest = min(limits.max_ttl_us, limits.max_on_us) * 1e-6
         if period > longest:

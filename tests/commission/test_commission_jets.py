@@ -112,6 +112,17 @@ def test_weak_late_and_absent_pushes(how, code):
     assert codes(FLOATER, pulses(FLOATER, **how)) == code
 
 
+@pytest.mark.parametrize("deg", [-25.0, -9.0, 9.0, 25.0])
+def test_a_body_that_is_turned_in_motion_capture_pushes_aside(deg):
+    found = [
+        pulse._replace(kick=pulse.kick._replace(theta=pulse.kick.theta + np.radians(deg)))
+        for pulse in pulses(FLOATER)
+    ]
+    (verdict,) = judge("sat1", FLOATER, found, LAB)
+    assert verdict.code == "body_aside"
+    assert verdict.numbers["aside_deg"] == pytest.approx(-deg, abs=0.1)
+
+
 def test_mass_and_inertia_are_told_apart():
     light = replace(FLOATER, mass=0.7 * FLOATER.mass, inertia=0.7 * FLOATER.inertia)
     assert codes(FLOATER, pulses(light)) == {"all_strong"}

@@ -3,7 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
-from firmware_interface.limits import config_hash, limits_of
+from firmware_interface.limits import LimitsError, config_hash, limits_of
 from firmware_interface.messages import BearingPolicy, Config
 from testbed.config import find, load
 from testbed.core.vehicle import Gauges, Landing
@@ -40,3 +40,12 @@ def test_boards_of_vehicles_with_other_jets_are_told_apart():
     assert len({known, *(config_hash(limits_of(m)) for m in (swapped, turned, moved))}) == 4
     calibrated = replace(model, jets=[replace(first, thrust=0.5), second, *others])
     assert config_hash(limits_of(calibrated)) == known
+
+
+def test_more_jets_than_the_board_has_outputs_are_refused_with_what_to_do():
+    model = load(find("hold")).vehicles["sat1"].model
+    with pytest.raises(LimitsError) as refused:
+        limits_of(replace(model, jets=[*model.jets, model.jets[0]]))
+    assert refused.value.expected == "1 to 8 jets"
+    assert "the vehicle has 9 jets" in refused.value.found
+    assert "only the twin flies it" in refused.value.hint
