@@ -16,6 +16,7 @@ from testbed.identification.prediction import Inputs, Wrenches, pulses, shares
 Array = NDArray[np.float64]
 PAUSE = 4.5  # a gap in the rows is longer than this many usual intervals
 FEWEST_POSES = 10
+FASTEST_HZ = 100.0  # of the poses that are fitted; twice as many are averaged
 UPRIGHT = 0.94  # cosine of a body's tilt: 20 deg
 
 
@@ -69,7 +70,25 @@ def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
     made, queue = t - mapping.pose.latency_s, mapping.pose.queue
     if queue and np.isfinite(pose).all():
         made = frame_times(made, pose[:, :2], queue.frame_s, queue.frames)
-    return MotionLog(str(path), digest(path), made[rows], pose[rows], kept[rows], inputs, notes)
+    seen = thinned(made[rows], pose[rows], kept[rows], notes)
+    return MotionLog(str(path), digest(path), *seen, inputs, notes)
+
+
+def thinned(
+    t: Array, pose: Array, whole: NDArray[np.bool_], notes: list[str]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Means of poses that follow each other, where there are more than a fit can use; noted."""
+    usual = float(np.median(np.diff(t)))
+    together = int(1.0 / (FASTEST_HZ * usual) + 1e-6)
+    if together < 2:
+        return t, pose, whole
+    notes.append(f"{together} poses each, {1.0 / usual:.4g} Hz, are taken as one, their mean")
+    count = len(t) // together
+    shape = (count, together)
+    times, use = t[: count * together].reshape(shape), whole[: count * together].reshape(shape)
+    near = np.ptp(times, axis=1) < PAUSE * together * usual
+    means = pose[: count * together].reshape((*shape, 3)).mean(axis=1)
+    return times.mean(axis=1), means, use.all(axis=1) & near
 
 
 def check_clock(t: Array, where: str, mapping: Mapping) -> None:

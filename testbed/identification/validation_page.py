@@ -39,6 +39,11 @@ def write_page(
         f" {noise['heading_deg']:.2g} deg. A prediction starts from the poses of the second before"
         " it and the commands; it sees nothing later.</p>"
     )
+    warnings = [f"{one['name']}: {one['text']}" for one in result.get("suspicions", ())]
+    warnings += [f"{name}: the fit has seen this log" for name in result.get("seen_by_the_fit", ())]
+    words += "".join(f"<p>Warning: {escape(text)}</p>" for text in warnings)
+    if compared := result.get("files", {}).get("against"):
+        words += f"<p>The compared file is {escape(str(compared))}.</p>"
     drawn = "".join(figure(chart) for chart in _charts(errors, noise["position_m"]))
     body = f"<h1>{escape(title)}</h1>{words}{table}<div class='figures'>{drawn}</div>"
     try:

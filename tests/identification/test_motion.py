@@ -141,6 +141,9 @@ def test_from_a_log_to_a_vehicle_file_to_a_verdict(files, tmp_path):
     code, text = run("validate", log, *common, "--vehicle", out, "--from", 35, "--until", 45)
     assert json.loads(text)["seen_by_the_fit"] == [str(log)]
     assert "<svg" in page.read_text()
+    assert "The compared file is generic_8jet" in page.read_text()
+    code, text = run("validate", log, *common, "--vehicle", out, "--out", page)
+    assert "Warning: " in page.read_text()
     code, _ = run("check", "hold", f"vehicles.sat1.model={out}")
     assert code == 0
 

@@ -165,6 +165,23 @@ def test_poses_far_from_all_others_are_named(files, tmp_path, floater):
     assert [s.name for s in suspicions([read(path, files[0])], floater)] == ["lost-poses"]
 
 
+def test_many_poses_are_averaged_and_tell_the_same(files, tmp_path):
+    mapping, log, _ = files
+    head, rows = rows_of(log)
+    seen = np.array(rows, dtype=float)[:400]
+    t = np.arange(0.0, 19.9, 1e-3)
+    fine = np.stack([np.interp(t, seen[:, 0], column) for column in seen.T], axis=1)
+    fine[:, 4:] = seen[np.minimum((t / 0.05 + 1e-6).astype(int), 399), 4:]
+    path = tmp_path / "fast.csv"
+    path.write_text(text_of(head, [[repr(float(cell)) for cell in row] for row in fine]))
+    found, slow = read(path, mapping), read(log, mapping)
+    assert found.notes[-1].startswith("10 poses each, 1000 Hz")
+    assert len(found.t) == 1990
+    for k in range(3):
+        expected = np.interp(found.t, slow.t, slow.pose[:, k])
+        np.testing.assert_allclose(found.pose[:, k], expected, atol=2e-4)
+
+
 def test_states_may_be_words(files, tmp_path):
     head, rows = rows_of(files[1])
     mapping = changed(files, tmp_path, '"duty"', '"state"')
