@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from testbed.config import find, load
-from testbed.net.door import Steer, Told, Wish
+from testbed.net.operator_requests import OperatorRequest, Reply, Steer
 from testbed.rig.live import LiveFlight
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin, warm_up
@@ -31,12 +31,12 @@ class Operator:
         """Time of the run."""
         return round(1e9 * self.t)
 
-    def heard(self) -> Iterator[tuple[Wish, Callable[[Told], None]]]:
-        """See `Door`."""
+    def received(self) -> Iterator[tuple[OperatorRequest, Callable[[Reply], None]]]:
+        """See `RequestSource`."""
         held = self.t < UNTIL
         if self.t >= FROM and (held or self._lets_go):
             x = 1.0 if held else 0.0
-            yield Steer("sat1", "velocity", "me", self.now_ns(), x), lambda told: None
+            yield Steer("sat1", "velocity", "me", self.now_ns(), x), lambda reply: None
 
 
 class Clock(NullObserver):

@@ -19,8 +19,8 @@ from testbed.cli.viewers import Viewers
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
-from testbed.net.door import Door
-from testbed.net.flight_note import door_beside, noted, own_note
+from testbed.net.flight_note import noted, own_note, request_socket
+from testbed.net.operator_requests import RequestServer
 from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
 from testbed.report.page import ReportError
 from testbed.rig.chain import watched
@@ -150,15 +150,15 @@ def report(folder: Path, experiment: Experiment) -> None:
 
 @contextmanager
 def opened(experiment: Experiment, folder: Path) -> Iterator[LiveFlight | None]:
-    """The door of a flight with a page, through which it can be changed."""
+    """A flight that its page can change; None: it cannot."""
     try:
-        door = Door(door_beside(own_note()))
+        server = RequestServer(request_socket(own_note()))
     except OSError as error:
         warn([f"no live gains and no flying by hand: {error}"])
         yield None
         return
-    with door:
-        yield LiveFlight(experiment, door, partial(write_forks, folder))
+    with server:
+        yield LiveFlight(experiment, server, partial(write_forks, folder))
 
 
 def maker(

@@ -1,4 +1,4 @@
-"""A program that speaks the page's language: the newest picture, and wishes to the flight."""
+"""A client of the operator's page for programs: the newest picture, and requests to the flight."""
 
 import json
 from http.client import HTTPConnection
@@ -22,19 +22,19 @@ class PageClient:
         self._link.request("GET", "/picture?after=")
         return self._answer()
 
-    def wish(self, kind: str, **fields: Any) -> dict[str, Any]:
-        """A wish of `net/door.py`: whether it is granted, and words."""
+    def request(self, kind: str, **fields: Any) -> dict[str, Any]:
+        """Send a request of `net/operator_requests.py`: whether it was carried out, and words."""
         body = json.dumps({"type": kind, **fields})
-        self._link.request("POST", "/wish", body, {"X-Console": "wish"})
-        told = self._answer()
-        self._stamp = int(told["now"])
-        return told
+        self._link.request("POST", "/request", body, {"X-Console": "request"})
+        reply = self._answer()
+        self._stamp = int(reply["now"])
+        return reply
 
     def steer(self, vehicle: str, x: float, y: float, turn: float = 0.0, mode: str = "velocity",
               by: str = "script") -> dict[str, Any]:  # fmt: skip
         """Fly a vehicle by hand, for 0.3 s at most; `mode` "law" gives it back."""
-        return self.wish("Steer", vehicle=vehicle, x=x, y=y, turn=turn, mode=mode, by=by,
-                         stamp_ns=self._stamp)  # fmt: skip
+        return self.request("Steer", vehicle=vehicle, x=x, y=y, turn=turn, mode=mode, by=by,
+                            stamp_ns=self._stamp)  # fmt: skip
 
     def _answer(self) -> dict[str, Any]:
         answer: dict[str, Any] = json.loads(self._link.getresponse().read())

@@ -1,7 +1,8 @@
-"""The page's wishes to the flight, and what can be changed now: see `net/door.py`.
+"""Forwards the page's requests to the flight, and shows what can be changed now.
 
-A wish is JSON as in `door.py`. A stick needs no answer from the flight: the page gets the time, and
-says it with its next stick, so that the flight knows how old that is at most.
+A request is JSON of `net/operator_requests.py`. The flight does not reply to a stick message.
+Instead this process gives the page the time, which the page sends with its next message, so that
+the flight knows how old that message is at most.
 """
 
 from collections.abc import Callable
@@ -14,20 +15,20 @@ import msgspec
 from testbed.config import Experiment
 from testbed.config.tunable import Tunable, tunables
 from testbed.console.hub import Hub
-from testbed.net import door
-from testbed.net.flight_note import door_beside
+from testbed.net.flight_note import request_socket
+from testbed.net.operator_requests import OperatorRequest, ReadControls, Steer, ask, send
 from testbed.realtime.wall_clock import monotonic_ns
 
-WAIT_S = 4.0  # for the flight's answer; vehicles may be asked over the network
+WAIT_S = 4.0  # for the flight's reply; vehicles may be asked over the network
 PATIENCE_S = 1.5  # the same for what can be changed now
 LOOK_S = 0.3  # between two looks at that
 DECADES = 10.0  # reach of a slider without a bound, times the start value
 
-_open = msgspec.json.Decoder(door.Wish).decode
+_open = msgspec.json.Decoder(OperatorRequest).decode
 
 
-class Controls:
-    """Passes wishes on.
+class RequestForwarder:
+    """Forwards requests of a page to its flight.
 
     Args:
         note: the note of the run's flight, None without one.
@@ -36,22 +37,22 @@ class Controls:
     def __init__(self, note: Callable[[], Path | None]) -> None:
         self._note = note
 
-    def wish(self, data: bytes) -> dict[str, Any]:
-        """Pass a wish on: whether it is granted, in words, and the time of this machine."""
-        path, now = self._door(), str(monotonic_ns())  # as text: larger than a browser's numbers
+    def request(self, data: bytes) -> dict[str, Any]:
+        """Forward a request: whether it was carried out, in words, and the time of this machine."""
+        path, now = self._socket(), str(monotonic_ns())  # as text: larger than a browser's numbers
         try:
-            wish = _open(data)
+            request = _open(data)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             return {"ok": False, "words": f"not understood: {error}", "now": now}
         if path is None:
             return {"ok": False, "words": "this flight cannot be changed", "now": now}
-        if isinstance(wish, door.Steer):
-            sent = door.tell(path, wish)
+        if isinstance(request, Steer):
+            sent = send(path, request)
             return {"ok": sent, "words": "" if sent else "the flight does not answer", "now": now}
-        told = door.ask(path, wish, WAIT_S)
-        if told is None:
+        reply = ask(path, request, WAIT_S)
+        if reply is None:
             return {"ok": False, "words": "the flight does not answer", "now": now}
-        return {"ok": told.ok, "words": told.words, "now": now}
+        return {"ok": reply.ok, "words": reply.words, "now": now}
 
     def keep(self, left: Event, hub: Hub) -> None:
         """Show what can be changed, until `left` is set."""
@@ -61,13 +62,13 @@ class Controls:
 
     def now(self) -> dict[str, Any] | None:
         """What can be changed now; None: nothing."""
-        path = self._door()
-        told = None if path is None else door.ask(path, door.Look(), PATIENCE_S)
-        return None if told is None else msgspec.to_builtins(told.controls)
+        path = self._socket()
+        reply = None if path is None else ask(path, ReadControls(), PATIENCE_S)
+        return None if reply is None else msgspec.to_builtins(reply.controls)
 
-    def _door(self) -> Path | None:
+    def _socket(self) -> Path | None:
         note = self._note()
-        path = None if note is None else door_beside(note)
+        path = None if note is None else request_socket(note)
         return path if path is not None and path.exists() else None
 
 

@@ -19,7 +19,7 @@ from ssl import SSLContext
 from threading import Event, Thread
 from types import FrameType
 
-from testbed.console.controls import Controls
+from testbed.console.controls import RequestForwarder
 from testbed.console.encryption import lab_certificate
 from testbed.console.follower import Follower
 from testbed.console.hub import Hub
@@ -56,12 +56,12 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
     follower = Follower(run, hub)
     token = "" if is_loopback(bind) else secrets.token_urlsafe(16)
     encryption = lab_certificate(run) if token else None
-    controls = Controls(lambda: stopper.note)
-    answers = Answers(hub, lambda: follower.scene, stopper.press, controls.wish)
+    forwarder = RequestForwarder(lambda: stopper.note)
+    answers = Answers(hub, lambda: follower.scene, stopper.press, forwarder.request)
     server = open_server(bind, port, token, answers, encryption)
     Thread(target=server.serve_forever, name="server", daemon=True).start()
     Thread(target=follower.follow, args=(left,), name="follower", daemon=True).start()
-    Thread(target=controls.keep, args=(left, hub), name="controls", daemon=True).start()
+    Thread(target=forwarder.keep, args=(left, hub), name="controls", daemon=True).start()
     Thread(target=stopper.keep, args=(left,), name="stopper", daemon=True).start()
     scheme = "https" if server.encrypted else "http"
     sys.stderr.write(f"console: {address(bind, server.server_port, token, scheme)}\n")

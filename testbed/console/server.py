@@ -4,7 +4,7 @@
     GET  /picture?after=N   the newest picture, as soon as there is one after version N
     GET  /scene             what does not move
     POST /stop              stop the flight; the body names the press
-    POST /wish              change the flight, see `controls.py`
+    POST /request           change the flight, see `controls.py`
 
 A reader asks again after each answer, so a slow one skips pictures. Off loopback every request
 needs the token. The header `X-Console` keeps pages of other sites from pressing the button.
@@ -52,12 +52,12 @@ class ConsoleError(TestbedError):
 
 
 class Answers(NamedTuple):
-    """Functions that the server calls: picture, scene, stop, wishes."""
+    """Functions that the server calls: picture, scene, stop, requests."""
 
     hub: Hub
     scene: Callable[[], bytes]
     press: Callable[[str], dict[str, Any]]
-    wish: Callable[[bytes], dict[str, Any]]
+    request: Callable[[bytes], dict[str, Any]]
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -97,8 +97,8 @@ class Handler(BaseHTTPRequestHandler):
             self._refuse()
         elif self.path == "/stop":
             self._tell(self.server.answers.press(body.decode(errors="replace")[:64]))
-        elif self.path == "/wish":
-            self._tell(self.server.answers.wish(body))
+        elif self.path == "/request":
+            self._tell(self.server.answers.request(body))
         else:
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
 

@@ -124,8 +124,8 @@ def withdraw(pid: int) -> None:
             (folder / f"{pid}.json").unlink()
 
 
-def door_beside(note: Path) -> Path:
-    """The socket of a flight, see `door.py`; it is there if the flight can be changed."""
+def request_socket(note: Path) -> Path:
+    """Socket of `operator_requests.py`; it exists while the flight receives requests."""
     return note.with_suffix(".sock")
 
 

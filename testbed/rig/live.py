@@ -20,10 +20,20 @@ from testbed.core.ports import Clock
 from testbed.core.types import Stick
 from testbed.flight.loop import HostNode
 from testbed.flight.supervisor import Supervisor
-from testbed.net.door import Controls, Look, Mode, Revert, Steer, Told, Tune, Wish, Wishes
+from testbed.net.operator_requests import (
+    Controls,
+    Mode,
+    OperatorRequest,
+    ReadControls,
+    Reply,
+    RequestSource,
+    Revert,
+    Steer,
+    Tune,
+)
 from testbed.realtime.wall_clock import monotonic_ns
 
-AHEAD = 2  # ticks from a wish to its change of gains; the time to save it
+AHEAD = 2  # ticks from a request to its change of gains; the time to save it
 AHEAD_ON_BOARD = 15  # the same where vehicles are asked over the network
 DEAD_MAN_NS = 300_000_000  # age of a stick message from which the vehicle comes to rest
 ON_BOARD = 'the law runs on the vehicle; by hand needs deploy.law = "host"'
@@ -42,24 +52,24 @@ class Changes(Protocol):
 
 
 class LiveFlight:
-    """The operator's wishes, and what has become of them.
+    """Carries out the operator's requests during a flight.
 
     What may take longer than a tick is done in another thread: to save a fork, and to ask vehicles
     whose law is on board of another computer.
 
     Args:
         experiment: as it was started.
-        door: where the wishes come from.
+        requests: where they come from.
         save: adds the newest fork to the run's config.toml.
-        now_ns: the clock of the wishes' stamps.
+        now_ns: the clock of the requests' stamps.
     """
 
     def __init__(
-        self, experiment: Experiment, door: Wishes, save: Callable[[Experiment], None],
+        self, experiment: Experiment, requests: RequestSource, save: Callable[[Experiment], None],
         now_ns: Callable[[], int] = monotonic_ns,
     ) -> None:  # fmt: skip
         self.experiment = experiment  # with a fork for each change
-        self._door, self._save, self._now_ns = door, save, now_ns
+        self._requests, self._save, self._now_ns = requests, save, now_ns
         self._period = experiment.flight.jet_period_s
         self._stage = experiment  # its gains count now, or soon
         self._start = gains_of(experiment)
@@ -67,7 +77,7 @@ class LiveFlight:
         self._hosts: Sequence[HostNode] = ()
         self._supervisor = Supervisor()
         self._sticks: dict[str, Steer] = {}
-        self._later: list[tuple[Wish, Callable[[Told], None]]] = []
+        self._later: list[tuple[OperatorRequest, Callable[[Reply], None]]] = []
         self._t, self._far = 0.0, False  # newest tick [s]; laws are on other computers
         self._work: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
 
@@ -76,7 +86,7 @@ class LiveFlight:
         self, clock: Clock, laws: Sequence[Changes], hosts: Sequence[HostNode],
         supervisor: Supervisor, *, far: bool = False,
     ) -> Iterator["LiveClock"]:  # fmt: skip
-        """While open, wishes are heard: the flight's clock, which looks for them.
+        """While open, requests are carried out; yields the flight's clock, which reads them.
 
         Args:
             clock: of the flight.
@@ -86,7 +96,7 @@ class LiveFlight:
             far: `laws` ask over the network.
         """
         self._laws, self._hosts, self._supervisor, self._far = laws, hosts, supervisor, far
-        worker = Thread(target=self._do, name="wishes", daemon=True)
+        worker = Thread(target=self._do, name="requests", daemon=True)
         worker.start()
         try:
             yield LiveClock(clock, self)
@@ -101,42 +111,42 @@ class LiveFlight:
     # Between two ticks
 
     def prepare(self, t: float) -> None:
-        """Carry out the wishes before the tick at `t`."""
-        wishes, self._later = [*self._later, *self._door.heard()], []
-        for wish, answer in wishes:
-            if self._far and not isinstance(wish, Steer | Look):
-                self._work.put(partial(self._answer, wish, answer))
+        """Carry out the requests before the tick at `t`."""
+        requests, self._later = [*self._later, *self._requests.received()], []
+        for request, reply in requests:
+            if self._far and not isinstance(request, Steer | ReadControls):
+                self._work.put(partial(self._answer, request, reply))
             else:
-                self._answer(wish, answer)
+                self._answer(request, reply)
 
     def sample(self, t: float) -> None:
         """Give each host's tick at `t` the newest stick."""
         self._t = t
-        for wish, answer in self._door.heard():
-            if isinstance(wish, Steer):
-                self._answer(wish, answer)
+        for request, reply in self._requests.received():
+            if isinstance(request, Steer):
+                self._answer(request, reply)
             else:
-                self._later.append((wish, answer))
+                self._later.append((request, reply))
         for host in self._hosts:
             before, host.stick = host.stick, self.stick(host.name)
             if (before is None) != (host.stick is None):
                 words = "the law flies" if host.stick is None else "flown by hand"
                 self._supervisor.note(t, f"{host.name}: {words}")
 
-    def _answer(self, wish: Wish, answer: Callable[[Told], None]) -> None:
-        ok, words = self._obey(wish)
-        answer(Told(ok, words, self.controls))
+    def _answer(self, request: OperatorRequest, reply: Callable[[Reply], None]) -> None:
+        ok, words = self._carry_out(request)
+        reply(Reply(ok, words, self.controls))
 
-    def _obey(self, wish: Wish) -> tuple[bool, str]:
-        match wish:
-            case Look():
+    def _carry_out(self, request: OperatorRequest) -> tuple[bool, str]:
+        match request:
+            case ReadControls():
                 return True, ""
             case Tune(values):
                 return self._tune(values)
             case Revert():
                 return self._tune(self._start)
             case Steer():
-                return self._steer(wish)
+                return self._steer(request)
 
     @property
     def controls(self) -> Controls:
@@ -145,8 +155,8 @@ class LiveFlight:
         modes: dict[str, Mode] = {host.name: "law" for host in self._hosts}
         modes |= {name: one.mode for name, one in sticks.items()}
         flown = {name: one.by for name, one in sticks.items() if one.mode != "law"}
-        no_hands = "" if self.experiment.deploy.law == "host" else ON_BOARD
-        return Controls(gains_of(self._stage), self._start, modes, flown, no_hands)
+        why_no_manual = "" if self.experiment.deploy.law == "host" else ON_BOARD
+        return Controls(gains_of(self._stage), self._start, modes, flown, why_no_manual)
 
     # Gains
 
@@ -187,16 +197,16 @@ class LiveFlight:
 
     # By hand
 
-    def _steer(self, wish: Steer) -> tuple[bool, str]:
-        if wish.vehicle not in {host.name for host in self._hosts}:
-            return False, self.controls.no_hands or f"no vehicle {wish.vehicle}"
-        held = self._sticks.get(wish.vehicle)
-        if held is not None and held.by != wish.by and self._is_alive(held):
-            return False, f"another page flies {wish.vehicle}"
-        if held is not None and held.by == wish.by and wish.stamp_ns < held.stamp_ns:
+    def _steer(self, request: Steer) -> tuple[bool, str]:
+        if request.vehicle not in {host.name for host in self._hosts}:
+            return False, self.controls.why_no_manual or f"no vehicle {request.vehicle}"
+        held = self._sticks.get(request.vehicle)
+        if held is not None and held.by != request.by and self._is_alive(held):
+            return False, f"another page flies {request.vehicle}"
+        if held is not None and held.by == request.by and request.stamp_ns < held.stamp_ns:
             return False, "older than the newest"
-        self._sticks[wish.vehicle] = wish
-        return True, wish.mode
+        self._sticks[request.vehicle] = request
+        return True, request.mode
 
     def _is_alive(self, stick: Steer) -> bool:
         return stick.mode != "law" and 0 <= self._now_ns() - stick.stamp_ns <= DEAD_MAN_NS

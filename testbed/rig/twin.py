@@ -82,7 +82,7 @@ class TwinRig(Struct, frozen=True):
     supervisor: Supervisor = field(default_factory=Supervisor)
     red: list[Check] = field(default_factory=list)  # see `Rig`
     laws: list[ForkedHost | ForkedAgent] = field(default_factory=list)
-    live: LiveFlight | None = None  # hears the operator's wishes
+    live: LiveFlight | None = None  # carries out the operator's requests
     fleet: Fleet | None = None  # flies many ticks ahead
 
     def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:

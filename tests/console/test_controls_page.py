@@ -125,9 +125,9 @@ def test_a_program_changes_a_flight_on_the_bench(testbed, tmp_path, law):
     run = testbed("run", "hold", "--rig", "bench", f'deploy.law="{law}"', *words)
     page = PageClient(address(run))
     eventually(lambda: page.picture().get("now", {}).get("phase") == "RUNNING", "it flies")
-    told = page.wish("Tune", values={"bandwidth": 0.3})
+    told = page.request("Tune", values={"bandwidth": 0.3})
     assert told["ok"], told
-    told = page.wish("Tune", values={"bandwidth": -1.0})
+    told = page.request("Tune", values={"bandwidth": -1.0})
     assert not told["ok"]
     assert "bandwidth > 0" in told["words"]
 
@@ -138,7 +138,7 @@ def test_a_program_changes_a_flight_on_the_bench(testbed, tmp_path, law):
     if law == "host":
         eventually(steered, "it is flown by hand")
         page.steer("sat1", 0.0, 0.0, mode="law")
-    told = page.wish("Revert")
+    told = page.request("Revert")
     assert told["ok"], told
     changed = float(told["words"].split()[1])
     eventually(lambda: page.picture()["now"]["t"] > changed + 0.5, "it has changed")

@@ -24,11 +24,11 @@ def serve():
             pressed.append(name)
             return {"lines": ["sat1: stops"], "sent": True}
 
-        def wish(data):
+        def request(data):
             pressed.append(data)
             return {"ok": True, "words": "", "now": "1"}
 
-        server = Server(bind, 0, token, Answers(Hub(), lambda: b"null", press, wish))
+        server = Server(bind, 0, token, Answers(Hub(), lambda: b"null", press, request))
         Thread(target=server.serve_forever, daemon=True).start()
         servers.append(server)
         return server, pressed

@@ -12,13 +12,13 @@ const KEYS = {
 };
 const el = id => document.getElementById(id);
 
-const wish = (what, wait_ms) => wish_text(JSON.stringify(what), wait_ms);
+const request = (what, wait_ms) => request_text(JSON.stringify(what), wait_ms);
 
-async function wish_text(body, wait_ms) {
+async function request_text(body, wait_ms) {
   const gone = new AbortController(), timer = setTimeout(() => gone.abort(), wait_ms);
   try {
-    const answer = await fetch('wish', { method: 'POST', body, cache: 'no-store',
-      headers: { 'X-Console': 'wish' }, signal: gone.signal });
+    const answer = await fetch('request', { method: 'POST', body, cache: 'no-store',
+      headers: { 'X-Console': 'request' }, signal: gone.signal });
     if (!answer.ok) throw new Error(`${answer.status}`);
     return await answer.json();
   } finally { clearTimeout(timer); }
@@ -97,7 +97,7 @@ class Controls {
     told.className = 'warn';
     told.textContent = 'asking the flight';
     try {
-      const answer = await wish(what, 6000);
+      const answer = await request(what, 6000);
       told.className = answer.ok ? 'ok' : 'bad';
       told.textContent = answer.ok ? answer.words : `refused: ${answer.words.replace(/\s+/g, ' ')}`;
     } catch (error) {
@@ -129,9 +129,9 @@ class Controls {
     const changed = Object.entries(now.start).filter(([name, value]) => now.gains[name] !== value).length;
     el('open-gains').textContent = changed ? `Gains (${changed})` : 'Gains';
     el('revert').disabled = !changed;
-    el('no-hands').hidden = !now.no_hands;
-    el('no-hands').textContent = now.no_hands;
-    el('hands-form').hidden = Boolean(now.no_hands);
+    el('no-hands').hidden = !now.why_no_manual;
+    el('no-hands').textContent = now.why_no_manual;
+    el('hands-form').hidden = Boolean(now.why_no_manual);
     const flown = Object.keys(now.by);
     el('open-hands').textContent = flown.length ? `By hand: ${flown.join(', ')}` : 'By hand';
     el('open-hands').classList.toggle('on', flown.length > 0);
@@ -167,7 +167,7 @@ class Controls {
     this.let_go();
     for (let tries = 0; tries < 5; tries++) {
       try {
-        const told = await wish_text(this.stamped({ ...this.message(vehicle), mode: 'law' }), 1000);
+        const told = await request_text(this.stamped({ ...this.message(vehicle), mode: 'law' }), 1000);
         if (told.ok) { this.say(`the law flies ${vehicle}`, 'ok'); return; }
       } catch (error) { /* asked again */ }
     }
@@ -189,7 +189,7 @@ class Controls {
     const vehicle = this.flies;
     this.busy = true;
     try {
-      const told = await wish_text(this.stamped({ ...this.message(vehicle), x, y, turn }), LOST_MS);
+      const told = await request_text(this.stamped({ ...this.message(vehicle), x, y, turn }), LOST_MS);
       this.stamp = told.now;
       if (this.flies !== vehicle) return;
       if (told.ok) this.say(`you fly ${vehicle}; it rests when you let go${this.pad_name ? `; gamepad ${this.pad_name}` : ''}`, 'ok');

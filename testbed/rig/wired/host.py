@@ -81,7 +81,7 @@ class WireRig:
         say: called with messages for the operator; by default they are dropped.
         checked: called with every result of the arming checks; by default they are dropped.
         relay: maps the host's endpoint to the endpoint of the bench's vehicles.
-        live: hears the operator's wishes; None: the flight cannot be changed.
+        live: carries out the operator's requests; None: the flight cannot be changed.
     """
 
     def __init__(

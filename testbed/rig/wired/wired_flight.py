@@ -163,7 +163,7 @@ class HostFlight:
         self._names = list(experiment.vehicles)
         self._at_once = False
         self.truth: Subscriber | None = None
-        self.live: LiveFlight | None = None  # hears the operator's wishes
+        self.live: LiveFlight | None = None  # carries out the operator's requests
         self.bad_truth = 0  # invalid messages of the truth
         self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
         self._events = {n: Subscriber(party.session, keys.of(n, "event")) for n in self._names}
