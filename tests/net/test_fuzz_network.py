@@ -44,7 +44,7 @@ from testbed.net.session import LARGEST, NetworkError, answer_to, ask, dial, lis
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.chain import make_agent
 from testbed.rig.wired.command_server import CommandServer
-from testbed.rig.wired.wired_flight import newest_truth
+from testbed.rig.wired.truth import newest_truth
 
 BLIND = SimpleNamespace(ready=lambda: Refused("sees nothing"))  # a lookout
 
@@ -287,11 +287,11 @@ def test_spoilt_truth_is_dropped():
 
     def feed():
         nonlocal bad, good
-        poses, none = newest_truth([(1, spoilt(rng, whole)), (2, spoilt(rng, whole))])
-        bad += none
-        if poses is not None:
+        states = newest_truth([(1, spoilt(rng, whole))])
+        bad += states is None
+        if states is not None:
             good += 1
-            assert all(len(row) == 6 and np.isfinite(row).all() for row in poses.values())
+            assert all(len(row) == 6 and np.isfinite(row).all() for row in states.values())
 
     assert growth(feed, COUNT) < GROWN
     assert bad > 0.3 * COUNT

@@ -8,28 +8,24 @@ import os
 import secrets
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 import msgspec
 import tomli_w
-import zenoh
 
 from testbed.config import Experiment, dump
 from testbed.core.codes import FaultId, FaultReport
-from testbed.core.error import TestbedError
 from testbed.flight.arming import Check
 from testbed.flight.loop import Ending, Observer
-from testbed.flight.supervisor import Answer, Request, Supervisor
+from testbed.flight.supervisor import Supervisor
 from testbed.metrics.run_metrics import Touch
 from testbed.net.access import open_lab
-from testbed.net.commands import Accepted, Refused, Start, Stop
 from testbed.net.credentials import neighbour
 from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.links import Party
-from testbed.net.roll_call import Roll
-from testbed.net.session import NetworkError, Subscriber, answer_to, on_word
+from testbed.net.session import NetworkError, answer_to, on_word
 from testbed.net.stop import NOT_STARTED
 from testbed.realtime.processes import ChildError, ProcessGroup
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
@@ -37,14 +33,16 @@ from testbed.rig.fault_latch import FaultLatch
 from testbed.rig.interface import not_armed
 from testbed.rig.live import LiveFlight
 from testbed.rig.wired.agent_process import AgentOptions
+from testbed.rig.wired.arming_requests import ArmingRequests, NotArmedError
 from testbed.rig.wired.blame import blamed
 from testbed.rig.wired.local import loopback
-from testbed.rig.wired.preflight import Preflight, order
+from testbed.rig.wired.preflight import Preflight
 from testbed.rig.wired.run_results import RunResults
 from testbed.rig.wired.stop_requests import Asked
 from testbed.rig.wired.suitable import check_wires
 from testbed.rig.wired.table_report import TableReport
 from testbed.rig.wired.trial_call import compile_host
+from testbed.rig.wired.vehicle_contact import HostError, VehicleContact
 from testbed.rig.wired.wired_flight import HostFlight
 
 READY_S = 180.0  # time for vehicles to get ready; the first start compiles
@@ -53,18 +51,6 @@ AHEAD_NS = 1_500_000_000  # from the order to start to the run's time 0
 LEASE_NS = 100_000_000  # between two leases before time 0
 LOOK_NS = 20_000_000
 ANSWER_NS = 500_000_000  # after a stop before the start: `testbed stop` asks who stands
-
-
-class HostError(TestbedError):
-    """The flight cannot begin."""
-
-
-class NotArmedError(TestbedError):
-    """The flight must not begin: arming checks failed, or the operator declined."""
-
-    def __init__(self, red: Sequence[Check]) -> None:
-        super().__init__(not_armed(red).text)
-        self.red = red
 
 
 class WireRig:
@@ -177,77 +163,76 @@ class WireRig:
         return float(room.f_bavail * room.f_frsize)
 
     def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], int]) -> Ending:
-        children = None
-        if self._bench:
-            children = stack.enter_context(ProcessGroup())
+        children = stack.enter_context(ProcessGroup()) if self._bench else None
+        if children is not None:
             self.experiment = loopback(self.experiment, children.folder)
-        network = self.experiment.table.lab.network
-        opened, self.results.key_warnings = open_lab(network, self.experiment.vehicles)
-        session = stack.enter_context(opened)
-        keys, asked = Keys(network.lab), Asked()
-        text = msgspec.json.encode(self.experiment)
-        roll = Roll(session, keys, self.experiment.vehicles)
-
-        def called_off() -> bool:
-            return asked.times > 0 or roll.stopped  # the stop may have reached a vehicle first
-
-        answering = [
-            answer_to(session, keys.experiment, lambda _: text),
-            answer_to(session, keys.ended, lambda _: self._ended_as(called_off=called_off())),
-            on_word(session, keys.stop, asked.hear),
-            answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
-        ]
-        truth = Subscriber(session, keys.truth)
-        note = noted(
-            network.endpoint, network.lab, network.keys, list(self.experiment.vehicles),
-            self.experiment.name, say=self._say, folder=self._log,
-        )  # fmt: skip
-        stack.enter_context(note)  # from now on a stop is heard
+        contact = self._open_network(stack)
         if children is not None:
             self._start_children(children)
         try:
-            try:
-                flight = self._prepare(
-                    session, keys, roll, children, lambda: max(stopped(), called_off()), asked
-                )
-            except (NotArmedError, HostError, NetworkError, ChildError):
-                if not called_off():  # else the vehicle has ended because of the stop
-                    raise
-                flight = None
+            flight = self._prepare(contact, children, lambda: max(stopped(), contact.called_off))
             if flight is None:
-                return self._not_flown(children, roll, called_off=called_off())
-            flight.truth = truth
-            if self.on_start is not None:
-                self.on_start(self)
-            flight.live = self.live
-            ending = flight.fly(observer, stopped, self.supervisor)
-            self.results.law_concerns = flight.concerns
-            if children is not None:
-                flown = [n for n in self.experiment.vehicles if n not in self.results.ended]
-                fault = blamed(children, flown, ending.fault)
-                ending = Ending(ending.t, fault, ending.found_t)
-            if flight.stopped:
-                self.supervisor.request(ending.t, "stop")
-            self._close(ending)
+                return self._not_flown(children, contact)
+            return self._flown(flight, children, observer, stopped)
         finally:
             if children is not None:
                 self._end_children(children)
-            del answering  # last: a stop may come while the processes end
+
+    def _open_network(self, stack: ExitStack) -> VehicleContact:
+        """Open the host's end of the network; from then on a stop reaches the host.
+
+        It stays open until `stack` is closed, because a stop may come while the processes end.
+        """
+        network = self.experiment.table.lab.network
+        opened, self.results.key_warnings = open_lab(network, self.experiment.vehicles)
+        session, keys = stack.enter_context(opened), Keys(network.lab)
+        names, text = list(self.experiment.vehicles), msgspec.json.encode(self.experiment)
+        contact = VehicleContact(session, keys, names, Asked())
+        answering = [
+            answer_to(session, keys.experiment, lambda _: text),
+            answer_to(session, keys.ended, lambda _: self._ended_as(contact)),
+            on_word(session, keys.stop, contact.asked.hear),
+            answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
+        ]
+        stack.callback(answering.clear)
+        note = noted(
+            network.endpoint, network.lab, network.keys, names,
+            self.experiment.name, say=self._say, folder=self._log,
+        )  # fmt: skip
+        stack.enter_context(note)
+        return contact
+
+    def _flown(
+        self, flight: HostFlight, children: ProcessGroup | None, observer: Observer,
+        stopped: Callable[[], int],
+    ) -> Ending:  # fmt: skip
+        """Fly, and find out why it ended."""
+        if self.on_start is not None:
+            self.on_start(self)
+        ending = flight.fly(observer, stopped, self.supervisor)
+        self.results.law_concerns = flight.concerns
+        if children is not None:
+            flying = [n for n in self.experiment.vehicles if n not in self.results.ended]
+            fault = blamed(children, flying, ending.fault)
+            ending = Ending(ending.t, fault, ending.found_t)
+        if flight.stopped:
+            self.supervisor.request(ending.t, "stop")
+        self._close(ending)
         return ending
 
-    def _not_flown(self, children: ProcessGroup | None, roll: Roll, *, called_off: bool) -> Ending:
+    def _not_flown(self, children: ProcessGroup | None, contact: VehicleContact) -> Ending:
         """How a run ends that was stopped before its start."""
         for name in self.experiment.vehicles:
-            if children is not None and name not in roll.tickets:
+            if children is not None and name not in contact.roll.tickets:
                 children.kill(name)  # it compiles, which cannot be interrupted
-        if not called_off:
+        if not contact.called_off:
             return Ending(0.0, None)
         sleep_until_ns(monotonic_ns() + ANSWER_NS)
         return Ending(0.0, FaultReport(FaultId.STOPPED, "stopped by the operator"))
 
-    def _ended_as(self, *, called_off: bool) -> bytes:
+    def _ended_as(self, contact: VehicleContact) -> bytes:
         """The bearing air of vehicles whose flight has ended, or that do not start, by name."""
-        if not called_off or self.results.boards:
+        if not contact.called_off or self.results.boards:
             return self.results.ended_as()
         return msgspec.json.encode(dict.fromkeys(self.experiment.vehicles, NOT_STARTED))
 
@@ -277,37 +262,47 @@ class WireRig:
         if report.exists():
             self.results.report = msgspec.json.decode(report.read_bytes(), type=TableReport)
 
+    # Before the start
+
     def _prepare(
-        self,
-        session: zenoh.Session,
-        keys: Keys,
-        roll: Roll,
-        children: ProcessGroup | None,
-        stopped: Callable[[], int],
-        asked: Asked,
-    ) -> "HostFlight | None":
-        """Wait for the vehicles and order them to start; None: the operator stopped it.
+        self, contact: VehicleContact, children: ProcessGroup | None, stopped: Callable[[], int]
+    ) -> HostFlight | None:
+        """Wait for the vehicles and order them to start; None: an operator stopped the run.
 
         Raises:
             HostError: a vehicle cannot start.
+            NotArmedError: arming checks failed, or the operator declined.
         """
-        there, reported, lost = set[str](), set[str](), dict[str, str]()
+        try:
+            if not self._await_vehicles(contact, children, stopped):
+                return None
+            preflight = Preflight(
+                self.experiment, contact.session, contact.keys, self.disk_free,
+                hardware=not self._bench,
+            )  # fmt: skip
+            arming = ArmingRequests(self.supervisor, preflight, self._checked, stopped)
+            return self._start(contact, arming) if self._arm(arming) else None
+        except (NotArmedError, HostError, NetworkError, ChildError):
+            if contact.called_off:  # a vehicle has ended because of the stop
+                return None
+            raise
+
+    def _await_vehicles(
+        self, contact: VehicleContact, children: ProcessGroup | None, stopped: Callable[[], int]
+    ) -> bool:
+        """Wait until all vehicles are on the network; False: an operator stopped the run.
+
+        Raises:
+            HostError: they are not within READY_S.
+        """
+        reported = set[str]()
         end = monotonic_ns() + round(1e9 * READY_S)
-        while missing := set(self.experiment.vehicles) - there:
-            if not self._bench:
-                for name, why in lost.items():
-                    self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
+        while missing := set(self.experiment.vehicles) - contact.present:
             if missing != reported:
-                self._checked([
-                    Check("agent", name, "not on the network" if name in missing else "")
-                    for name in self.experiment.vehicles
-                ])  # fmt: skip
-                if not self._bench:
-                    absent = ", ".join(sorted(missing))
-                    self._say(f"waiting for {absent}; start `testbed agent` on each computer")
+                self._report_missing(missing)
                 reported = missing
             if stopped():
-                return None
+                return False
             if children is not None:
                 children.check()
             if monotonic_ns() > end:
@@ -317,45 +312,66 @@ class WireRig:
                     f" {self.experiment.table.lab.network.endpoint}?"
                 )
             sleep_until_ns(monotonic_ns() + LOOK_NS)
-            before, there = there, {
-                name for name in self.experiment.vehicles
-                if name in roll.tickets
-                and list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
-            }  # fmt: skip
-            lost = dict.fromkeys(before - there, "no longer on the network")
-            lost |= roll.farewells()
-        preflight = Preflight(
-            self.experiment, session, keys, self.disk_free, hardware=not self._bench
-        )
-        names = list(self.experiment.vehicles)
+            gone = contact.update()
+            if not self._bench:
+                for name, why in gone.items():
+                    self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
+        return True
+
+    def _report_missing(self, missing: set[str]) -> None:
+        """Tell the operator which vehicles are not on the network."""
+        self._checked([
+            Check("agent", name, "not on the network" if name in missing else "")
+            for name in self.experiment.vehicles
+        ])  # fmt: skip
+        if not self._bench:
+            absent = ", ".join(sorted(missing))
+            self._say(f"waiting for {absent}; start `testbed agent` on each computer")
+
+    def _arm(self, arming: ArmingRequests) -> bool:
+        """Reset the fault of the previous run, and arm; False: an operator stopped the run.
+
+        Raises:
+            NotArmedError: arming checks failed, or the operator declined.
+        """
         if self.supervisor.fault is not None:
-            self._request("reset", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
+            arming.ask("reset", monotonic_ns() + round(1e9 * GREEN_S))
             if self._latch is not None:
                 self._latch.clear()
-        self._request("arm", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
-        if stopped():
-            return None
-        if not self._agree(names):
+        arming.ask("arm", monotonic_ns() + round(1e9 * GREEN_S))
+        if arming.stopped():
+            return False
+        if not self._agree(list(self.experiment.vehicles)):
             self.supervisor.request(0.0, "disarm")
             raise NotArmedError([Check("operator", "", "declined arming")])
+        return True
+
+    def _start(self, contact: VehicleContact, arming: ArmingRequests) -> HostFlight | None:
+        """Order the armed vehicles to start, and send leases until the run's time 0.
+
+        None: an operator stopped the run.
+
+        Raises:
+            HostError: a vehicle refuses to start.
+            NotArmedError: a check failed while the vehicles float.
+        """
         run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
         clock = self.results.clock = WallClock(epoch)
-        party = Party(session, self.experiment.table.lab, run, clock, self.experiment.seed, "host")
-        flight = HostFlight(self.experiment, self.results, party, self.disk_free, asked)
+        lab, seed = self.experiment.table.lab, self.experiment.seed
+        party = Party(contact.session, lab, run, clock, seed, "host")
+        flight = HostFlight(
+            self.experiment, self.results, party, self.disk_free, contact.asked, self.live
+        )
         try:
-            for name in names:
-                match order(session, keys, name, Start(run, epoch, roll.tickets[name])):
-                    case Accepted(board):
-                        self.results.boards[name] = board
-                    case Refused(reason):
-                        raise HostError(f"{name} refuses to start: {reason}")
+            for name, board in contact.start(run, epoch):
+                self.results.boards[name] = board
             # the vehicles float now: check them again
-            self._request("run", preflight, epoch - LEASE_NS, stopped)
+            arming.ask("run", epoch - LEASE_NS)
         except (HostError, NotArmedError, NetworkError):
-            self._call_off(session, keys)
+            self._call_off(contact)
             raise
         if not self.supervisor.may_fire:  # the operator stopped it
-            self._call_off(session, keys)
+            self._call_off(contact)
             return None
         self._ran = True
         if self._latch is not None:
@@ -365,29 +381,6 @@ class WireRig:
             sleep_until_ns(monotonic_ns() + LEASE_NS)
         return flight
 
-    def _call_off(self, session: zenoh.Session, keys: Keys) -> None:
-        """Stop vehicles that may already have an order to start."""
+    def _call_off(self, contact: VehicleContact) -> None:
         self.supervisor.request(0.0, "disarm")
-        for name in self.experiment.vehicles:
-            with suppress(NetworkError):
-                order(session, keys, name, Stop("the flight was called off"))
-
-    def _request(
-        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], int]
-    ) -> None:
-        """Ask the supervisor until it agrees.
-
-        Raises:
-            NotArmedError: it has not agreed by the time `end`; lists every failed check.
-        """
-        late = Check("checks", "", "no time for them")
-        answer = Answer(False, self.supervisor.phase, (late,))
-        while monotonic_ns() < end and not stopped():
-            checks = preflight.checks()
-            self._checked(checks)
-            answer = self.supervisor.request(0.0, what, checks)
-            if answer.done:
-                return
-            sleep_until_ns(monotonic_ns() + 5 * LOOK_NS)
-        if not stopped():
-            raise NotArmedError(answer.red)
+        contact.call_off()

@@ -1,7 +1,6 @@
 """The flight in the host's process: laws, leases and the vehicles' reports."""
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Protocol
@@ -10,39 +9,29 @@ import msgspec
 from msgspec.structs import replace
 
 from testbed.config import Experiment
-from testbed.core.codes import FaultId, FaultReport, InhibitReason, Refusal
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
 from testbed.core.ports import Clock
-from testbed.core.types import (
-    Accel,
-    Health,
-    Inputs,
-    Outputs,
-    Pose,
-    Reference,
-    Tick,
-    Trajectory,
-    Twist,
-    ValveCommand,
-    Wrench,
-)
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import Ending, Observer, fly
 from testbed.flight.supervisor import Supervisor
 from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
 from testbed.net.envelope import Acceptance, Inbox, Outbox
 from testbed.net.links import LocalMessages, Party, ZenohHostLink, host_states
-from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
+from testbed.net.session import NetworkError, Publisher, Subscriber
 from testbed.realtime.scheduling import realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
-from testbed.rig.forked import make_host
+from testbed.rig.forked import ForkedHost, make_host
 from testbed.rig.interface import holds
 from testbed.rig.live import LiveFlight
 from testbed.rig.wired.gains import RemoteLaw
+from testbed.rig.wired.intruder import Intruder
 from testbed.rig.wired.pause import Pause
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
+from testbed.rig.wired.remote_node import RemoteNode
 from testbed.rig.wired.stop_requests import Asked, StopCount
+from testbed.rig.wired.truth import newest_truth
 
 PRIORITY = 10  # below the vehicles, which drive the valves
 LEASE_S = 1.0  # lifetime of a lease: as long as the operator may be absent
@@ -77,64 +66,6 @@ class Book(Protocol):
         ...
 
 
-class RemoteNode:
-    """A vehicle in another process: gives the loop its newest tick.
-
-    `lost_s` is the time without a tick after which it is lost [s].
-    """
-
-    def __init__(
-        self, name: str, jets: int, meet: Callable[[bool, FaultReport | None], None], lost_s: float
-    ) -> None:
-        self.name, self._meet, self._shut, self.lost_s = name, meet, (0,) * jets, lost_s
-        self.newest: Tick | None = None
-        self.heard_at = 0.0
-        self.ended: Ended | None = None
-        self.fault: FaultReport | None = None
-
-    def tick(
-        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
-        end: bool = False, stay: bool = False,
-    ) -> Tick:  # fmt: skip
-        """The vehicle's newest tick, or a substitute with a fault if it is silent or has ended."""
-        self._meet(armed, fleet)
-        tick = self._newest(t)
-        self.fault = tick.outputs.fault
-        return tick
-
-    def _newest(self, t: float) -> Tick:
-        if self.ended is not None:
-            return self._silent(t, InhibitReason.VEHICLE_OVER, self.ended.fault)
-        if t - self.heard_at > self.lost_s:
-            text = f"vehicle silent: not heard for {t - self.heard_at:.1f} s"
-            fault = FaultReport(FaultId.VEHICLE_SILENT, text)
-            return self._silent(t, InhibitReason.VEHICLE_SILENT, fault)
-        return self.newest or self._silent(t, InhibitReason.NOT_HEARD_YET, None)
-
-    def _silent(self, t: float, why: InhibitReason, fault: FaultReport | None) -> Tick:
-        still, command = Wrench(0.0, 0.0, 0.0), ValveCommand(0, t, t, self._shut, self._shut)
-        inputs = Inputs(t, False, (), None, {}, Health(t, 0.0, 0.0))
-        return Tick(inputs, Outputs(t, None, None, still, still, command, Refusal(why), fault))
-
-
-_open_truth = msgspec.msgpack.Decoder(tuple[int, dict[str, list[float]]]).decode
-
-
-def newest_truth(messages: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
-    """The newest valid message of the truth, and the number of invalid ones."""
-    bad = 0
-    for _, data in reversed(messages):
-        try:
-            poses = _open_truth(data)[1]
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-            bad += 1
-            continue
-        if all(len(row) == 6 and all(map(math.isfinite, row)) for row in poses.values()):
-            return poses, bad
-        bad += 1
-    return None, bad
-
-
 class HostFlight:
     """The flight as the host sees it: leases, reports, stops.
 
@@ -143,7 +74,8 @@ class HostFlight:
         book: records the data of the flight.
         party: this end of the network.
         disk_free: free space on the disk of the log [bytes].
-        asked: counts stops from any terminal already; None: this object does.
+        asked: counts stops from any terminal.
+        live: carries out the operator's requests; None: the flight cannot be changed.
     """
 
     def __init__(
@@ -151,20 +83,19 @@ class HostFlight:
         experiment: Experiment,
         book: Book,
         party: Party,
-        disk_free: Callable[[], float] = lambda: 1e12,
-        asked: Asked | None = None,
+        disk_free: Callable[[], float],
+        asked: Asked,
+        live: LiveFlight | None,
     ) -> None:
         self._process_faults = ProcessFaults(experiment.inject, lambda: party.clock.now)
-        self._intruders: dict[str, Publisher] = {}
-        self._stranger = Outbox(party.run ^ 1)  # session of an injected intruder
+        self._intruder = Intruder(party)
         self._experiment, self._book, self._party = experiment, book, party
         self._disk_free, self._config = disk_free, config_id(experiment)
         keys = party.keys
         self._names = list(experiment.vehicles)
         self._at_once = False
-        self.truth: Subscriber | None = None
-        self.live: LiveFlight | None = None  # carries out the operator's requests
-        self.bad_truth = 0  # invalid messages of the truth
+        self._live = live
+        self._truth = Subscriber(party.session, keys.truth)
         self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
         self._events = {n: Subscriber(party.session, keys.of(n, "event")) for n in self._names}
         open_tick = msgspec.msgpack.Decoder(TickReport).decode
@@ -183,11 +114,9 @@ class HostFlight:
         self._observer: Observer | None = None
         self._fleet: FaultReport | None = None
         self._armed = True
-        self._asked = asked or Asked()  # stops from any terminal
+        self._asked = asked
         self._pause = Pause()
         self.concerns: list[Concern] = []  # of laws on the host and floods, after the flight
-        if asked is None:
-            self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
     @property
     def stopped(self) -> bool:
@@ -209,26 +138,19 @@ class HostFlight:
 
     def fly(self, observer: Observer, stopped: Callable[[], int], supervisor: Supervisor) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
-        clock, experiment = self._party.clock, self._experiment
-        period = experiment.flight.jet_period_s
-        names = self._names if experiment.deploy.law == "host" else ()
-        spoilt = self._process_faults.spoilt if experiment.inject else None
-        hosts = [
-            make_host(experiment, name, self._links[name], spoilt and partial(spoilt, name))
-            for name in names
-        ]
+        experiment, clock = self._experiment, self._party.clock
+        period, nodes, hosts = experiment.flight.jet_period_s, self._nodes.values(), self._hosts()
         self._observer = observer
         asked = StopCount(stopped, self._asked)
-        nodes = list(self._nodes.values())
         ticking: Clock = clock
         with ExitStack() as stack:
-            if self.live is not None:
+            if self._live is not None:
                 far = [RemoteLaw(self._party, name) for name in self._names]
                 ticking = stack.enter_context(
-                    self.live.flying(clock, hosts or far, hosts, supervisor, far=not hosts)
+                    self._live.flying(clock, hosts or far, hosts, supervisor, far=not hosts)
                 )
             stack.enter_context(realtime_priority(PRIORITY))
-            ending = fly(ticking, nodes, hosts, period, experiment.ticks, self, stopped=asked)
+            ending = fly(ticking, list(nodes), hosts, period, experiment.ticks, self, stopped=asked)
         holding = holds(experiment, ending) and not asked()
         if holding:
             self._hold(asked)
@@ -241,32 +163,55 @@ class HostFlight:
         self._book.note_host(
             clock.lateness, sum(link.said.outbox.sent for link in self._links.values())
         )
-        late = self._late_fault()
-        fault = ending.fault or late
-        if fault and late and late.id == FaultId.FLOODED:  # the cause
-            fault = late
-        self.concerns = [
+        self.concerns = self._concerns_of(hosts)
+        fault = self._cause_of(ending.fault)
+        if fault is None and self._asked.times and not holding:
+            fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
+        return replace(ending, fault=fault)
+
+    def _hosts(self) -> list[ForkedHost]:
+        """The laws that run in this process."""
+        experiment = self._experiment
+        names = self._names if experiment.deploy.law == "host" else ()
+        spoilt = self._process_faults.spoilt if experiment.inject else None
+        return [
+            make_host(experiment, name, self._links[name], spoilt and partial(spoilt, name))
+            for name in names
+        ]
+
+    def _concerns_of(self, hosts: Sequence[ForkedHost]) -> list[Concern]:
+        """Concerns of laws on the host, and floods that the vehicles report at their end."""
+        laws = [
             Concern(one.name, f"{host.name}: {one.text}")
             for host in hosts
             for one in host.guidance.concerns
         ]
-        self.concerns += [
+        floods = [
             Concern("flooded", f"{n.name}: flooded with messages from t = {since:.1f} s on")
             for n in self._nodes.values()
             if n.ended and (since := n.ended.rows.get(FaultId.FLOODED)) is not None
         ]
+        return laws + floods
+
+    def _cause_of(self, fault: FaultReport | None) -> FaultReport | None:
+        """The fault, or the one of a vehicle, a law or the host itself that has caused it."""
+        late = self._late_fault()
+        fault = fault or late
+        if fault is None:
+            return None
+        if late and late.id == FaultId.FLOODED:
+            fault = late
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
             # late setpoints look like a link fault
-            fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
-        silent = fault and fault.id == FaultId.VEHICLE_SILENT and self._nodes[fault.vehicle]
-        if fault and silent and silent.ended and silent.ended.fault:  # the cause
+            fault = replace(fault, notes=(*fault.notes, slow[0]))
+        if fault.id != FaultId.VEHICLE_SILENT:
+            return self._pause.blamed(fault)
+        silent = self._nodes[fault.vehicle]
+        if silent.ended and silent.ended.fault:
             said = f"its last report: {silent.ended.fault.words}"
             fault = replace(fault, notes=(*fault.notes, said))
-        if fault and (not silent or self._pause.began_s - silent.heard_at < 0.5 * silent.lost_s):
-            fault = self._pause.blamed(fault)  # if the vehicle was heard until then
-        if fault is None and self._asked.times and not holding:
-            fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
-        return replace(ending, fault=fault)
+        heard_until_pause = self._pause.began_s - silent.heard_at < 0.5 * silent.lost_s
+        return self._pause.blamed(fault) if heard_until_pause else fault
 
     def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
         """Receive from all vehicles; the loop's data for them goes into the next lease."""
@@ -294,9 +239,11 @@ class HostFlight:
         self._process_faults.at_host()
         self.lease()
         if intruder := self._process_faults.found("foreign_session"):
-            self._intrude(intruder.vehicle)
+            self._intruder.intrude(intruder.vehicle)
         if flood := self._process_faults.found("flood"):
-            self._flood(flood.vehicle, round(flood.size * self._experiment.flight.jet_period_s))
+            self._intruder.flood(
+                flood.vehicle, round(flood.size * self._experiment.flight.jet_period_s)
+            )
         self._board.tick += 1
         clock = self._party.clock
         late = clock.lateness[-1] if clock.lateness else 0.0
@@ -304,31 +251,11 @@ class HostFlight:
         assert self._observer is not None
         self._observer.done(t)
 
-    def _intrude(self, name: str) -> None:
-        """Send messages as a leftover host of another session would."""
-        now = self._party.clock.now
-        there = Reference(now, Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0))
-        setpoint = Trajectory((there,), now + 1.0)
-        self._intruder(name).say(self._stranger.seal(setpoint, now, now + 1.0))
-
-    def _flood(self, name: str, count: int) -> None:
-        """Send messages that mean nothing, as a program gone wild would."""
-        for _ in range(count):
-            self._intruder(name).say(b"nothing")
-
-    def _intruder(self, name: str) -> Publisher:
-        if name not in self._intruders:  # kept: messages of a closed publisher are lost
-            key = self._party.keys.of(name, "setpoint")
-            self._intruders[name] = Publisher(self._party.session, key)
-        return self._intruders[name]
-
     def _listen(self) -> None:
         clock, book = self._party.clock, self._book
-        if self.truth is not None and (messages := self.truth.heard()):
-            poses, bad = newest_truth(messages)
-            self.bad_truth += bad
-            if poses is not None:
-                book.note_truth({n: poses[n] for n in self._names if n in poses})
+        poses = newest_truth(self._truth.heard())
+        if poses is not None:
+            book.note_truth({n: poses[n] for n in self._names if n in poses})
         for name, subscriber in self._ticks.items():
             for at, data in subscriber.heard():
                 box = self._flown[name]
