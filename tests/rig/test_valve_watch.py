@@ -5,7 +5,7 @@ import pytest
 from testbed.config import find, load
 from testbed.core.types import ValveCommand
 from testbed.flight.detectors import SPOILT
-from testbed.rig.wired.valve_watch import COUNTS_AS, OFF_S, ValveWatch
+from testbed.rig.wired.valve_watch import COUNTS_AS, ValveWatch
 
 PERIOD, DELAY = 0.1, 0.002
 MS = 1e-3
@@ -50,15 +50,44 @@ def test_another_pulse_counts_as_a_late_tick_once(watch, edges):
     assert watch.late_s(LATER) == 0.0
 
 
-def test_a_difference_that_stamps_may_have_does_not_count(watch):
+@pytest.mark.parametrize("longer", [-1, 1])
+def test_a_difference_that_stamps_may_have_does_not_count(watch, longer):
     watch.plan(plan(0, 15))
-    watch.hear(pulse(40, 55 + 0.9 * OFF_S / MS))
+    watch.hear(pulse(40, 55 + longer))
     assert watch.late_s(SOON) == 0.0
 
 
-def test_a_valve_that_stays_open_counts(watch):
+@pytest.mark.parametrize(
+    "edges",
+    [pulse(40, 55)[:1], pulse(40, 55) + pulse(70, 80)[:1]],
+    ids=["from the pulse on", "after the pulse"],
+)
+def test_a_valve_that_stays_open_counts(watch, edges):
     watch.plan(plan(0, 15))
-    watch.hear(pulse(40, 55)[:1])
+    watch.hear(edges)
+    assert watch.late_s(SOON) > 0.0
+
+
+def test_edges_may_be_reported_after_the_end_of_their_pulse(watch):
+    watch.plan(plan(0, 15, 80))
+    assert watch.late_s(SOON) == 0.0
+    watch.hear(pulse(80, 95))
+    assert watch.late_s(LATER) == 0.0
+
+
+def test_a_plan_begins_after_the_delay_of_its_vehicle():
+    watch = ValveWatch(2, 0.05, PERIOD)
+    watch.hear([(-1.0, 2), (-0.9, 0)])
+    watch.plan(plan(0, 15))
+    assert watch.late_s(0.11) == 0.0  # the pulse has ended at 0.105 s
+    assert watch.late_s(LATER) > 0.0
+
+
+def test_a_jet_as_planned_does_not_excuse_another():
+    watch = ValveWatch(2, DELAY, PERIOD)
+    watch.hear([(-1.0, 0)])
+    watch.plan(ValveCommand(0, 0.0, PERIOD, (15_000, 15_000), (40_000, 40_000)))
+    watch.hear([(0.042, 2), (0.057, 0)])  # of the second jet only
     assert watch.late_s(SOON) > 0.0
 
 
@@ -70,6 +99,21 @@ def test_a_pulse_of_several_plans_is_one(watch):
     watch.plan(plan(2, 30, 0))
     watch.hear(pulse(40, 230))
     assert watch.late_s(3 * PERIOD) == watch.late_s(4 * PERIOD) == 0.0
+
+
+def test_pulses_of_two_plans_with_a_pause_are_two(watch):
+    watch.plan(plan(0, 15, 85))
+    watch.plan(plan(1, 15, 5))
+    watch.hear(pulse(85, 100) + pulse(105, 120))
+    assert watch.late_s(LATER) == watch.late_s(3 * PERIOD) == 0.0
+
+
+@pytest.mark.parametrize("second", [97, 104], ids=["stamped early", "played later"])
+def test_of_pulses_close_to_each_other_each_has_its_plan(watch, second):
+    watch.plan(plan(0, 15))
+    watch.plan(plan(1, 25, 0))
+    watch.hear(pulse(70, 85) + pulse(second, second + 25))
+    assert watch.late_s(LATER) == 0.0
 
 
 def test_each_pulse_is_compared_with_its_own_plan(watch):
@@ -92,6 +136,6 @@ def test_a_board_that_reports_no_edges_is_not_judged():
     assert watch.late_s(SOON) == 0.0
 
 
-def test_it_is_not_believed_and_no_overrun():
+def test_a_pulse_not_as_planned_counts_as_a_spoilt_tick_but_not_as_an_overrun():
     row = load(find("hold")).faults["overrun"]
     assert SPOILT < COUNTS_AS < row.above / PERIOD

@@ -78,6 +78,16 @@ def test_a_pulse_that_flowed_too_long_is_taken_from_the_next(valves):
     assert flows(valves) == [16.0, 20.0]
 
 
+def test_a_pulse_shorter_than_what_the_one_before_flowed_too_long_does_not_flow(valves):
+    valves.edge(10 * MS, 1, 0.0)
+    valves.edge(25 * MS, 0, 0.035)  # 4 ms too long
+    valves.edge(110 * MS, 1, 0.1)
+    valves.edge(113 * MS, 0, 0.1)
+    valves.edge(210 * MS, 1, 0.2)
+    valves.edge(230 * MS, 0, 0.2)
+    assert flows(valves) == [0.0, 19.0]
+
+
 def test_the_plant_moves_as_with_the_modelled_board(experiment, make_plant):
     """The same pulses, planned for the modelled board and reported by a real one."""
     rng = np.random.default_rng(4)
