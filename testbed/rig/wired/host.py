@@ -34,7 +34,7 @@ from testbed.rig.interface import not_armed
 from testbed.rig.live import LiveFlight
 from testbed.rig.wired.agent_process import AgentOptions
 from testbed.rig.wired.arming_requests import ArmingRequests, NotArmedError
-from testbed.rig.wired.blame import blamed
+from testbed.rig.wired.blocking_law import blamed
 from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight
 from testbed.rig.wired.run_results import RunResults
