@@ -16,7 +16,7 @@ import secrets
 import socket
 import struct
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
@@ -188,52 +188,63 @@ def stop_directly(
     Returns:
         Names of the vehicles that have stopped.
     """
-    stopped: set[str] = set()
-    places = [(LOCAL, port) for port in ports(endpoint)]
     try:
         signer = _signer(keys)
     except (ImportError, OSError, ValueError):  # Zenoh says what is wrong with the keys
-        return stopped
+        return set()
+    stopped: set[str] = set()
+    question = json.dumps({"lab": lab, "ask": "who"}).encode()
     end = monotonic() + wait_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        if signer is not None and not is_local(endpoint):
-            with suppress(OSError):
-                own = socket.inet_aton(_address_towards(endpoint))
-                line.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, own)
-                places += [(GROUP, port) for port in ports(endpoint)]
-        question = json.dumps({"lab": lab, "ask": "who"}).encode()
+        places = _places(line, endpoint, signed=signer is not None)
         while monotonic() < end and not (vehicles and stopped >= set(vehicles)):
             for place in places:
                 with suppress(OSError):
                     line.sendto(question, place)
-            until = min(monotonic() + AGAIN_S, end)
-            while (left := until - monotonic()) > 0.0:
-                line.settimeout(left)
-                try:
-                    data, place = line.recvfrom(LARGEST)
-                except OSError:
-                    continue
-                message = _decode(data, lab)
+            for message, place in _messages(line, lab, min(monotonic() + AGAIN_S, end)):
                 name, nonce = message.get("vehicle"), message.get("nonce")
                 if not isinstance(name, str) or name in stopped:
                     continue
                 if isinstance(nonce, str):
-                    demand = {
-                        "lab": lab,
-                        "ask": "stop",
-                        "vehicle": name,
-                        "nonce": nonce,
-                        "id": stop,
-                    }
-                    if signer is not None:
-                        demand |= signer.sign(_demand(lab, name, nonce, stop))
                     with suppress(OSError):
-                        line.sendto(json.dumps(demand).encode(), place)
+                        line.sendto(_order(signer, lab, name, nonce, stop), place)
                 elif _confirmed(signer, lab, name, message):
                     stopped.add(name)
                     if vehicles and stopped >= set(vehicles):
                         break
     return stopped
+
+
+def _places(line: socket.socket, endpoint: str, *, signed: bool) -> list[tuple[str, int]]:
+    """Where vehicles of a host may listen; those of other machines accept signed stops only."""
+    places = [(LOCAL, port) for port in ports(endpoint)]
+    if signed and not is_local(endpoint):
+        with suppress(OSError):
+            own = socket.inet_aton(_address_towards(endpoint))
+            line.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, own)
+            places += [(GROUP, port) for port in ports(endpoint)]
+    return places
+
+
+def _messages(
+    line: socket.socket, lab: str, until: float
+) -> Iterator[tuple[dict[str, Any], tuple[str, int]]]:
+    """Messages of the lab's vehicles that arrive until a monotonic time [s], and their senders."""
+    while (left := until - monotonic()) > 0.0:
+        line.settimeout(left)
+        try:
+            data, sender = line.recvfrom(LARGEST)
+        except OSError:  # also if no vehicle listens at one of the ports
+            continue
+        yield _decode(data, lab), sender
+
+
+def _order(signer: "Signer | None", lab: str, name: str, nonce: str, stop: str) -> bytes:
+    """The order to stop."""
+    order = {"lab": lab, "ask": "stop", "vehicle": name, "nonce": nonce, "id": stop}
+    if signer is not None:
+        order |= signer.sign(_demand(lab, name, nonce, stop))
+    return json.dumps(order).encode()
 
 
 def _confirmed(signer: "Signer | None", lab: str, name: str, message: dict[str, str]) -> bool:
