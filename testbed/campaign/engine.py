@@ -71,7 +71,6 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
         )
     with needs_extra("campaign"):
         import dask
-        from distributed import Client, LocalCluster
     settings = {
         "distributed.scheduler.allowed-failures": TRIES - 1,
         "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
@@ -82,35 +81,50 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     }
     with dask.config.set(settings), _quiet():
         if scheduler is None:
-            with ExitStack() as stack:
-                try:
-                    resource_tracker.ensure_running()  # its start lets signals through again
-                    with held_back():  # Dask cannot close workers that have not started yet
-                        cluster = LocalCluster(
-                            n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-                            dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-                            memory_limit=0,
-                        )  # fmt: skip
-                        stack.enter_context(cluster)
-                    client = stack.enter_context(Client(cluster))
-                except (OSError, RuntimeError) as error:
-                    raise EngineError(
-                        where=f"--jobs {jobs}", found=str(error),
-                        expected=f"to start {jobs} processes with about ten open files each",
-                    ) from None  # fmt: skip
+            with _own_workers(jobs) as client:
                 yield client
-            return
+        else:
+            with _connected(scheduler) as client:
+                _same_code(client, scheduler)
+                yield client
+
+
+@contextmanager
+def _own_workers(jobs: int) -> Iterator[Any]:
+    """A client with workers on this machine."""
+    from distributed import Client, LocalCluster
+
+    with ExitStack() as stack:
         try:
-            client = Client(scheduler, timeout="10s")
-        except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
+            resource_tracker.ensure_running()  # its start lets signals through again
+            with held_back():  # Dask cannot close workers that have not started yet
+                cluster = LocalCluster(
+                    n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                    memory_limit=0,
+                )  # fmt: skip
+                stack.enter_context(cluster)
+            client = stack.enter_context(Client(cluster))
+        except (OSError, RuntimeError) as error:
             raise EngineError(
-                where=f"--scheduler {scheduler}",
-                expected="a Dask scheduler, for instance tcp://10.0.0.1:8786",
-                found=str(error) or "no answer within 10 s",
-            ) from None
-        with client:
-            _same_code(client, scheduler)
-            yield client
+                where=f"--jobs {jobs}", found=str(error),
+                expected=f"to start {jobs} processes with about ten open files each",
+            ) from None  # fmt: skip
+        yield client
+
+
+def _connected(scheduler: str) -> Any:
+    """A client of the cluster at `scheduler`."""
+    from distributed import Client
+
+    try:
+        return Client(scheduler, timeout="10s")
+    except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
+        raise EngineError(
+            where=f"--scheduler {scheduler}",
+            expected="a Dask scheduler, for instance tcp://10.0.0.1:8786",
+            found=str(error) or "no answer within 10 s",
+        ) from None
 
 
 def _same_code(client: Any, scheduler: str) -> None:
