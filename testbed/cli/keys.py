@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from testbed.net.certificate_authority import Wanted
     from testbed.net.credentials import Credentials
 
 PORT = 7450
@@ -79,10 +80,10 @@ def lab_keys(
     from testbed.cli.exit_code import BAD_INPUT, OK
     from testbed.net.credentials import CredentialsError
 
-    wanted = [("vehicle", name) for name in vehicle]
-    wanted += [("operator", name) for name in operator] + [("watcher", name) for name in watcher]
+    parties = [("vehicle", name) for name in vehicle]
+    parties += [("operator", name) for name in operator] + [("watcher", name) for name in watcher]
     try:
-        _make(folder, host, wanted, (lab, port), days, force=force, renew=renew)
+        _make(folder, host, parties, (lab, port), days, force=force, renew=renew)
         context.exit(OK)
     except (CredentialsError, OSError) as error:
         from testbed.cli.refusal import refuse
@@ -101,61 +102,69 @@ def lab_keys(
 
 
 def _make(
-    folder: Path, host: Sequence[str], wanted: list[tuple[str, str]],
+    folder: Path, host: Sequence[str], parties: list[tuple[str, str]],
     where: tuple[str | None, int | None], days: int, *, force: bool, renew: bool,
 ) -> None:  # fmt: skip
-    from testbed.net.certificate_authority import (
-        Wanted,
-        addresses_of,
-        host_credentials,
-        listed,
-        make_keys,
-    )
-    from testbed.net.credentials import CredentialsError
+    from testbed.net.certificate_authority import host_credentials, listed, make_keys
 
     there, before = host_credentials(folder), listed(folder)
-    lab, port = where
     if there is None:
-        if not host:
-            raise CredentialsError(
-                f"there are no keys in {folder} yet; expected --host to make some"
-            )
-        endpoint, addresses = _endpoint(host[0], port or PORT), list(host)
-        wanted = [("host", "host"), ("table", "table"), *wanted]
+        wanted = _first(folder, host, parties, where, days)
     else:
-        if lab not in (None, there.lab):
-            raise CredentialsError(
-                f"the keys in {folder} are for the lab {there.lab!r}, not {lab!r}"
-            )
-        addresses, endpoint = list(host) or addresses_of(folder), there.endpoint
-        if host or port:
-            if not renew:
-                raise CredentialsError(
-                    "the host has keys already; a new address changes every key folder,"
-                    " so it needs --renew"
-                )
-            old_host, _, old_port = endpoint.removeprefix("tls/").rpartition(":")
-            endpoint = _endpoint(host[0] if host else old_host.strip("[]"), port or int(old_port))
-        if renew:
-            named = {(party.role, party.name): None for party in before}
-            wanted = list(named | dict.fromkeys(wanted))
-    if wanted:
-        name = there.lab if there is not None else lab or "lab"
-        want = Wanted(name, endpoint, addresses, wanted, days)
-        made = make_keys(folder, want, force=force or renew)
-        _show(folder, made)
-        if there is None:
-            _explain(folder, endpoint, name)
-        elif renew:
-            sys.stdout.write(
-                "\nCopy every folder to its machine again; old keys stay valid until they expire.\n"
-            )
-        else:
-            sys.stdout.write(
-                f"\nCopy {folder / 'host'} to the host again: its list of names has changed.\n"
-            )
-    else:
+        all_before = [(party.role, party.name) for party in before]
+        parties = list(dict.fromkeys([*all_before, *parties])) if renew else parties
+        wanted = _more(folder, there, host, parties, where, days, renew=renew)
+    if not wanted.parties:
         _show(folder, before)
+        return
+    _show(folder, make_keys(folder, wanted, force=force or renew))
+    if there is None:
+        _explain(folder, wanted.endpoint, wanted.lab)
+    elif renew:
+        sys.stdout.write(
+            "\nCopy every folder to its machine again; old keys stay valid until they expire.\n"
+        )
+    else:
+        sys.stdout.write(
+            f"\nCopy {folder / 'host'} to the host again: its list of names has changed.\n"
+        )
+
+
+def _first(
+    folder: Path, host: Sequence[str], parties: Sequence[tuple[str, str]],
+    where: tuple[str | None, int | None], days: int,
+) -> "Wanted":  # fmt: skip
+    """The first keys of a lab: those of host and table, too."""
+    from testbed.net.certificate_authority import Wanted
+    from testbed.net.credentials import CredentialsError
+
+    if not host:
+        raise CredentialsError(f"there are no keys in {folder} yet; expected --host to make some")
+    lab, port = where
+    parties = [("host", "host"), ("table", "table"), *parties]
+    return Wanted(lab or "lab", _endpoint(host[0], port or PORT), list(host), parties, days)
+
+
+def _more(
+    folder: Path, there: "Credentials", host: Sequence[str], parties: Sequence[tuple[str, str]],
+    where: tuple[str | None, int | None], days: int, *, renew: bool,
+) -> "Wanted":  # fmt: skip
+    """More keys of a lab, or all of them again; a new address of the host needs all of them."""
+    from testbed.net.certificate_authority import Wanted, addresses_of
+    from testbed.net.credentials import CredentialsError
+
+    lab, port = where
+    if lab not in (None, there.lab):
+        raise CredentialsError(f"the keys in {folder} are for the lab {there.lab!r}, not {lab!r}")
+    addresses, endpoint = list(host) or addresses_of(folder), there.endpoint
+    if (host or port) and not renew:
+        raise CredentialsError(
+            "the host has keys already; a new address changes every key folder, so it needs --renew"
+        )
+    if host or port:
+        old_host, _, old_port = endpoint.removeprefix("tls/").rpartition(":")
+        endpoint = _endpoint(host[0] if host else old_host.strip("[]"), port or int(old_port))
+    return Wanted(there.lab, endpoint, addresses, parties, days)
 
 
 def _endpoint(host: str, port: int) -> str:
