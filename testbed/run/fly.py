@@ -211,19 +211,18 @@ def _fly_and_judge(
     screen: FlightScreen, epoch_ns: int, end_compilers: Callable[[], None],
 ) -> Metrics:  # fmt: skip
     """`fly_and_judge` with a rig that is made; `end_compilers` is called before the flight."""
-    ending, wall = Ending(0.0, None), 0.0
     pace = None
     if speed is not None and isinstance(rig, TwinRig):
         pace = PacedClock(rig.twin, speed)
         rig = replace(rig, pace=pace)
     references = {name: ReferenceLog() for name in experiment.vehicles}
-    metrics = None
     fast = rig.name == "twin" and pace is None
     recorder = Recorder(
         folder / "log.mcap", names=names_of(experiment), waits=rig.name == "twin",
         span_ns=span_of(experiment) if fast else SPAN_NS, epoch_ns=epoch_ns,
         scene=scene_of(experiment),
     )  # fmt: skip
+    metrics, ending = None, Ending(0.0, None)
     try:
         with recorder, screen.showing():
             with interrupt.at_once(), patience():
@@ -232,37 +231,44 @@ def _fly_and_judge(
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)
-
-                def stopped() -> int:
-                    heartbeat().beat()  # also while vehicles are waited for, and while they brake
-                    return interrupt.asked or int(log.trouble is not None)
-
                 recorder.meet()  # before the flight, which would wait for the writer's start
                 screen.flies()
-                with no_garbage_collection():
-                    began = time.perf_counter()
-                    ending = rig.fly(log, stopped)
-                    wall = time.perf_counter() - began
-                    log.reports()
-                    if ending.fault is None and (fault := complaint()):
-                        ending = replace(ending, fault=fault)
-                    completed = ending.fault is None and ending.t >= experiment.end_s
-                    metrics = measure(rig, references, ending, wall, completed=completed)
-                    after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
-                    jets = {name: rig.jets(name) for name in experiment.vehicles}
-                    metrics = with_jets(replace(metrics, after=after), jets)
+                metrics = _fly(rig, log, references, interrupt)
                 if log.trouble is not None:
                     raise RecorderError(log.trouble)
     except RecorderError as error:
         fault = FaultReport(FaultId.LOG_FAILED, f"log: {error}")
+        ending = Ending(rig.now, fault)
         if metrics is not None:
             if (first := metrics.fault_report) is not None:  # it had ended the flight before
                 fault = replace(first, notes=(*first.notes, fault.text))
             metrics = replace(metrics, fault=fault.words, fault_report=fault, completed=False)
-        ending = Ending(rig.now, fault)
     heartbeat().phase = RunPhase.ENDING
-    metrics = metrics or measure(rig, references, ending, wall, completed=False)
+    metrics = metrics or measure(rig, references, ending, 0.0, completed=False)
     if recorder.lost:
         lost = Concern("log_rows_lost", f"{recorder.lost} rows: the log writer did not keep up")
         metrics = replace(metrics, warnings=[*metrics.warnings, lost])
     return replace(metrics, epoch_ns=recorder.epoch_ns or None)
+
+
+def _fly(
+    rig: Rig, log: FlightLog, references: dict[str, ReferenceLog], interrupt: Interrupt
+) -> Metrics:
+    """Fly until every vehicle is at rest, and measure."""
+
+    def stopped() -> int:
+        heartbeat().beat()  # also while vehicles are waited for, and while they brake
+        return interrupt.asked or int(log.trouble is not None)
+
+    with no_garbage_collection():
+        began = time.perf_counter()
+        ending = rig.fly(log, stopped)
+        wall = time.perf_counter() - began
+        log.reports()
+        if ending.fault is None and (fault := complaint()):
+            ending = replace(ending, fault=fault)
+        completed = ending.fault is None and ending.t >= rig.experiment.end_s
+        metrics = measure(rig, references, ending, wall, completed=completed)
+        after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
+        jets = {name: rig.jets(name) for name in rig.experiment.vehicles}
+        return with_jets(replace(metrics, after=after), jets)
