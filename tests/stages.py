@@ -30,8 +30,6 @@ from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import FlightParams, make_parameters
 from testbed.flight.record import REFERENCE, ROW, SETPOINT, STATE
 
-NO_OTHERS = np.zeros((0, 6))
-
 
 def agent_of(vehicle, table, faults, params=None, fence=None, barrier=None, guidance=None):
     """The chain of a vehicle without an experiment."""
