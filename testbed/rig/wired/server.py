@@ -30,7 +30,6 @@ from sim_twin.reported import ReportedValves
 from testbed.config import Experiment
 from testbed.core.fault_injection import Injection
 from testbed.core.types import Pose, PoseSample
-from testbed.metrics.afterwards import MINUTE, STEP
 from testbed.mocap.exposure import Axes, Sighting
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody
 from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
@@ -42,6 +41,7 @@ from testbed.net.session import NetworkError, Publisher, Subscriber, dial
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.table_report import TableReport
+from testbed.rig.wired.true_course import TrueCourse
 
 SENSE_NS = 100_000_000  # between two gauge readings of the boards
 TRUTH_FRAMES = 5  # exposures between two messages of the truth
@@ -80,9 +80,7 @@ class TableServer:
         self._axes, self._keys = Axes(table.lab.mocap), Keys(table.lab.network.lab)
         self._truth: Publisher | None = None
         self._released_ns: int | None = None
-        self._t: list[float] = []
-        self._states: list[list[list[float]]] = []
-        self._spent: list[list[tuple[float, float, int]]] = []
+        self._course = TrueCourse(self.plant, self._valves)
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
         self._pose_topic: Publisher | None = None
         self._leases: Subscriber | None = None  # their stamps give the run's time 0
@@ -219,27 +217,7 @@ class TableServer:
     def _expose(self, number: int, exposed: int) -> None:
         """Send the frame that was exposed one latency ago."""
         self._follow()
-        t = None if self._released_ns is None else 1e-9 * (exposed - self._released_ns)
-        if t is not None and t > self.plant.t:
-            self._injector.before(t)
-            self.plant.advance(t)
-            self._injector.look(t)
-            self._t.append(t)
-            self._states.append(self.plant.x.tolist())
-            openings = [valves.openings for valves in self._valves.values()]
-            impulse, used = self.plant.impulse.tolist(), self.plant.used.tolist()
-            self._spent.append(list(zip(impulse, used, openings, strict=True)))
-        bodies, rows = [], None
-        if t is not None:
-            rows = self._injector.sources(self.names, np.array([t]))
-        shown = None if rows is None else np.array(rows, np.int64)
-        self._cameras.expose(np.array([1e-9 * exposed]), self.plant.x[None], np.inf, shown)
-        fixed = self._fixed.seen(self.plant.t, self._injector)
-        for k, name in enumerate(self._bodies):
-            seen = self._look(name, k) if k < len(self.names) else self._shown(fixed.get(name))
-            bodies.append(
-                RigidBody(k + 1, seen.position, seen.rotation, ERROR_M, tracked=seen.tracked)
-            )
+        bodies = self._bodies_seen(exposed, self._advance(exposed))
         now = monotonic_ns()
         if self.experiment.table.lab.mocap.system == "zenoh":
             self._say_poses(number, exposed, bodies)
@@ -247,6 +225,32 @@ class TableServer:
             self._mocap.send(MocapFrame(number, tuple(bodies), 1e-9 * exposed, exposed, now, now))
         if number % TRUTH_FRAMES == 0:
             self._tell(exposed)
+
+    def _advance(self, exposed: int) -> float | None:
+        """Move the plant on to an exposure; its time [s], None before the vehicles float."""
+        if self._released_ns is None:
+            return None
+        t = 1e-9 * (exposed - self._released_ns)
+        if t > self.plant.t:
+            self._injector.before(t)
+            self.plant.advance(t)
+            self._injector.look(t)
+            self._course.note(t)
+        return t
+
+    def _bodies_seen(self, exposed: int, t: float | None) -> list[RigidBody]:
+        """All bodies of the frame, with errors of the cameras and injected faults."""
+        rows = None if t is None else self._injector.sources(self.names, np.array([t]))
+        shown = None if rows is None else np.array(rows, np.int64)
+        self._cameras.expose(np.array([1e-9 * exposed]), self.plant.x[None], np.inf, shown)
+        fixed = self._fixed.seen(self.plant.t, self._injector)
+        bodies = []
+        for k, name in enumerate(self._bodies):
+            seen = self._look(name, k) if k < len(self.names) else self._shown(fixed.get(name))
+            bodies.append(
+                RigidBody(k + 1, seen.position, seen.rotation, ERROR_M, tracked=seen.tracked)
+            )
+        return bodies
 
     def _say_poses(self, number: int, exposed: int, bodies: list[RigidBody]) -> None:
         """Publish the frame over Zenoh, for a lab whose cameras do so."""
@@ -347,15 +351,17 @@ class TableServer:
     def report(self) -> TableReport:
         """The true course of the flight so far."""
         plant, flown = self.plant, (self.plant.impulse.copy(), self.plant.used.copy())
-        later_t, later = self._move_on()
+        later_t, later = list[float](), list[list[list[float]]]()
+        if self._released_ns is not None:
+            later_t, later = self._course.minute_after(self._injector)
 
         def by_name(values: object) -> dict[str, float]:
             return dict(zip(self.names, np.asarray(values).tolist(), strict=True))
 
         return TableReport(
             released_ns=self._released_ns,
-            t=self._t,
-            states=self._states,
+            t=self._course.t,
+            states=self._course.states,
             touches=plant.touches,
             impulse=by_name(flown[0]),
             gas=by_name(flown[1]),
@@ -365,25 +371,11 @@ class TableServer:
             boards=[tap.board_name for tap in self._taps.values()],
             left_as={name: _left_as(tap.status) for name, tap in self._taps.items()},
             silence_ms={name: 1e-3 * tap.silence_us for name, tap in self._taps.items()},
-            spent=self._spent,
+            spent=self._course.spent,
             later_t=later_t,
             later_states=later,
             floats={name: plant.floats(k) for k, name in enumerate(self.names)},
         )
-
-    def _move_on(self) -> tuple[list[float], list[list[list[float]]]]:
-        """Simulate one minute with valves and air as last reported by the boards."""
-        plant, t, states = self.plant, list[float](), list[list[list[float]]]()
-        if self._released_ns is None:
-            return t, states
-        end = plant.t + MINUTE
-        while plant.t < end and not (t and plant.stands):
-            until = min(plant.t + 1.0, end)
-            self._injector.before(until)
-            marks = np.arange(plant.t, until, STEP)
-            states += plant.advance(until, marks).tolist()
-            t += marks.tolist()
-        return t, states
 
 
 def _left_as(status: Status | None) -> tuple[str, list[str]]:
