@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from testbed.campaign.many import fly_many
+    from testbed.campaign.fly_many import fly_many
     from testbed.campaign.parameter_sweep import sweep
     from testbed.core.error import TestbedError
     from testbed.core.law import Law
@@ -35,7 +35,7 @@ _HOMES = {
     "Valves": "testbed.identification.prediction",
     "Wrenches": "testbed.identification.prediction",
     "fly": "testbed.run.api",
-    "fly_many": "testbed.campaign.many",
+    "fly_many": "testbed.campaign.fly_many",
     "fork": "testbed.run.api",
     "load": "testbed.run.experiment",
     "open_run": "testbed.run.api",

@@ -13,7 +13,7 @@ from numba.core import config
 
 from testbed.campaign.row import Task
 from testbed.config import Experiment
-from testbed.run.code import code_digest
+from testbed.run.code_digest import code_digest
 
 Warm = Callable[[str, Sequence[Task]], None]
 Read = Callable[[str, Sequence[str]], Experiment]

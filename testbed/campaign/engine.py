@@ -23,7 +23,7 @@ from typing import Any, Generic, TypeVar
 
 from testbed.core.error import TestbedError
 from testbed.core.extra import needs_extra
-from testbed.run.code import code_digest
+from testbed.run.code_digest import code_digest
 from testbed.run.interrupt import held_back
 
 Task = TypeVar("Task")

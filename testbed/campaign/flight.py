@@ -29,7 +29,7 @@ from testbed.campaign.row import FlownRun, Kept, Task, within
 from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
 from testbed.config import ConfigError, read_toml
 from testbed.files import named, write_atomic
-from testbed.run.code import code_digest, digest_of
+from testbed.run.code_digest import code_digest, digest_of
 
 UNLIKE = "unlike.txt"  # in a run's folder: columns that differed in the second flight
 MOST_WARMED = 20  # combinations compiled in advance; workers compile the others

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from testbed.campaign.beside import fly_beside
-from testbed.campaign.many import LIMIT_S, table_of
+from testbed.campaign.fly_many import LIMIT_S, table_of
+from testbed.campaign.process_pool import fly_in_processes
 from testbed.campaign.sweep import SEED, covers
 from testbed.campaign.trial import fly, read
 from testbed.campaign.worker import Order
@@ -67,7 +67,7 @@ def sweep(
     if jobs == 1:
         runs = [fly(base, one.k, one.overrides) for one in orders]
     else:
-        runs = fly_beside(orders, jobs, LIMIT_S)
+        runs = fly_in_processes(orders, jobs, LIMIT_S)
     columns: dict[str, Any] = {
         key: _column([values[k] for values, _ in rows]) for k, key in enumerate(axes)
     }

@@ -40,7 +40,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from testbed.campaign.inline import inline
+from testbed.campaign.inline_toml import inline
 from testbed.campaign.row import COLUMNS, check_columns, check_vehicles
 from testbed.config import ConfigError, Experiment, dump, find, load, loads, read_toml
 from testbed.config.error import show

@@ -32,7 +32,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
 from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
-from testbed.run.code import code_digest
+from testbed.run.code_digest import code_digest
 from testbed.run.interrupt import Interrupt
 
 BEFORE = (  # comment above the commands

@@ -13,8 +13,8 @@ from testbed.cli.screen import show
 from testbed.logs.export import WRITERS, ExportError, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
+from testbed.run.missing_parts import lacks, metrics_of
 from testbed.run.recorded import check_files
-from testbed.run.whole import lacks, metrics_of
 
 
 def show_log(run: Path, as_json: bool) -> int:

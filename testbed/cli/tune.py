@@ -37,7 +37,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
 from testbed.config import dump, load
 from testbed.files import write_atomic
-from testbed.run.code import code_digest, digest_of
+from testbed.run.code_digest import code_digest, digest_of
 from testbed.run.interrupt import Interrupt
 
 

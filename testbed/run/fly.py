@@ -34,7 +34,7 @@ from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.pacer import PacedClock
 from testbed.realtime.scheduling import no_garbage_collection
-from testbed.rig.ahead import compiling_ahead
+from testbed.rig.compile_ahead import compiling_ahead
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver, handles_single_ticks
 from testbed.rig.twin import TwinRig, make_twin, warm_up

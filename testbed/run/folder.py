@@ -28,7 +28,7 @@ from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.provenance import FLOWN, versions
-from testbed.run.code import code_digest
+from testbed.run.code_digest import code_digest
 
 LEAST_FREE = 50_000_000  # 20 MB are kept to end the log; the rest is an hour of one vehicle [bytes]
 

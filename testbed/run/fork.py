@@ -29,8 +29,8 @@ from testbed.logs.row_reader import RowReader
 from testbed.report.fork_changes import changes_of_whole
 from testbed.rig.interface import Rig
 from testbed.rig.resumed import make_resumed
+from testbed.run.missing_parts import lacks
 from testbed.run.origin import NOTE, Origin
-from testbed.run.whole import lacks
 
 OF_THE_WHOLE = ("name", "description", "criteria", "duration_s")  # may change, for the whole run
 TICKS = ("tick", "ending", "host")

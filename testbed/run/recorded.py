@@ -10,8 +10,8 @@ from testbed.config import Experiment
 from testbed.logs.history import History, gather
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.metrics.run_metrics import Metrics
+from testbed.run.missing_parts import lacks, metrics_of
 from testbed.run.post_mortem import judged
-from testbed.run.whole import lacks, metrics_of
 
 FIRST_NS = 1_000_000_000  # of a log; each vehicle has a tick in it
 SAME_NS = 1_000_000  # two times of the beginning of one flight differ by less

@@ -11,8 +11,8 @@ from testbed.core.types import HostTick
 from testbed.logs.log_reader import LogReader
 from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, before_damage, replay
 from testbed.rig.forked import make_host, make_vehicle
+from testbed.run.missing_parts import is_whole, lacks, metrics_of
 from testbed.run.recorded import check_flight
-from testbed.run.whole import is_whole, lacks, metrics_of
 
 
 def replay_experiment(

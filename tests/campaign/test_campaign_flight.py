@@ -27,7 +27,7 @@ from testbed.campaign.result import table_of, write_parquet
 from testbed.campaign.summary import summarise, worst_runs
 from testbed.campaign.sweep import load_campaign
 from testbed.config import dump, find, load
-from testbed.run.code import code_digest
+from testbed.run.code_digest import code_digest
 
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2]}

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 import testbed
-from testbed.campaign.beside import LostRunError, Worker
+from testbed.campaign.process_pool import LostRunError, Worker
 from testbed.campaign.worker import Order
 
 SPOILT = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from testbed.campaign.inline import inline
+from testbed.campaign.inline_toml import inline
 from testbed.campaign.sweep import Draw, load_campaign
 from testbed.config import ConfigError, load
 from testbed.config.tree import parse

@@ -133,7 +133,7 @@ def test_lists_whole_floats_and_unsorted_rows_give_the_same_motion(exact):
     np.testing.assert_array_equal(end(none), end(Valves([], [], [])))
 
 
-def test_it_is_behind_the_public_door():
+def test_it_is_part_of_the_public_api():
     assert testbed.predict is predict
     assert testbed.Valves is Valves
 

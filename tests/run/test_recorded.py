@@ -12,8 +12,8 @@ from testbed.cli.main import main
 from testbed.config import ConfigError
 from testbed.logs.log_reader import LogReader
 from testbed.run.film import make_film
+from testbed.run.missing_parts import is_whole, lacks
 from testbed.run.recorded import MixedUpError, check_files
-from testbed.run.whole import is_whole, lacks
 
 KINDS = "csv", "mat", "npz", "parquet", "bag", "rrd"
 

@@ -4,7 +4,7 @@ The compiler works on one core. While this process compiles small functions, one
 chain, another the plant and a third the law; they meet in the cache on disk (core/code_cache.py),
 where each finds what the others have finished and waits for what another one has begun.
 
-    python -m testbed.rig.ahead PART    the experiment is read from standard input
+    python -m testbed.rig.compile_ahead PART    the experiment is read from standard input
 """
 
 import fcntl
@@ -92,7 +92,7 @@ def _is_ours(experiment: Experiment) -> bool:
 
 def _start(part: str, experiment: Experiment) -> "subprocess.Popen[bytes]":
     process = subprocess.Popen(
-        [sys.executable, "-m", "testbed.rig.ahead", part],
+        [sys.executable, "-m", "testbed.rig.compile_ahead", part],
         stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     assert process.stdin is not None

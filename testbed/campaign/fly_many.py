@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from testbed.campaign.beside import fly_beside
+from testbed.campaign.process_pool import fly_in_processes
 from testbed.campaign.row import FlownRun
 from testbed.campaign.worker import Order
 from testbed.config import Experiment, dump
@@ -48,7 +48,7 @@ def fly_many(
     for one in flown:
         check_experiment(where, one)
     orders = [Order(k, tomli_w.dumps(dump(one))) for k, one in enumerate(flown)]
-    runs = fly_beside(orders, jobs or os.cpu_count() or 1, limit_s)
+    runs = fly_in_processes(orders, jobs or os.cpu_count() or 1, limit_s)
     columns = {
         "experiment": np.array([one.name for one in flown]),
         "seed": np.array([one.seed for one in flown], dtype=np.int64),

@@ -295,7 +295,7 @@ def test_two_twins_of_one_seed_fly_the_same(hold):
         (lambda e, r: testbed.replay("flown"), "replay, run", "testbed.open_run", "'flown'"),
         (lambda e, r: testbed.replay(None), "replay, run", "testbed.open_run", "None"),
         (lambda e, r: testbed.open_run(3), "testbed.open_run", "a finished run", "3"),
-        (lambda e, r: testbed.open_run(__file__), "open_run", "a finished run", "test_python_door"),
+        (lambda e, r: testbed.open_run(__file__), "open_run", "a finished run", "test_python_api"),
         (lambda e, r: testbed.fly(e, log=3), "testbed.fly, log", "a new or empty folder", "3"),
         (lambda e, r: r.plot("trajectory").save(3), "save", "the path of a folder", "3"),
     ],

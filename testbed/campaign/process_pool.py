@@ -95,7 +95,7 @@ class Worker:
             process.communicate()
 
 
-def fly_beside(orders: Sequence[Order], jobs: int, limit_s: float) -> list[FlownRun]:
+def fly_in_processes(orders: Sequence[Order], jobs: int, limit_s: float) -> list[FlownRun]:
     """Fly runs in `jobs` processes; each takes the next run when it is done.
 
     Returns:
