@@ -228,9 +228,9 @@ def unfinished(flown, tmp_path) -> Path:
 def test_an_old_picture_is_grey_and_says_its_age(unfinished, browser, page_of):
     with browser.Browser(1366, 768) as page:
         page.open(page_of(unfinished))
-        eventually(lambda: page.value(STALE), "it is old")
+        eventually(lambda: text(page, "#veil").startswith("picture is "), "it is old")
+        assert page.value(STALE)
         assert text(page, "#phase") == "RUNNING"
-        assert text(page, "#veil").startswith("picture is ")
         assert "grayscale" in page.value("getComputedStyle(document.getElementById('top')).filter")
         assert text(page, "#stop-word") == "NOT CONNECTED"  # no flight of this run is there
         assert "does not fly on this machine" in text(page, "#ways")
