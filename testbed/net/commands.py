@@ -110,7 +110,7 @@ class TickReport(Struct, frozen=True, gc=False):
     pace: Pace
     edges: tuple[tuple[float, int], ...] = ()  # valve edges the board reported: t [s], mask
     stops: int = 0  # the operator's stops that this vehicle has heard
-    stop_marks: tuple[bytes, ...] = ()  # of these, see `Asked.marks`
+    stop_marks: tuple[bytes, ...] = ()  # of these, see `StopRequests.marks`
 
 
 class Counts(Struct, frozen=True):

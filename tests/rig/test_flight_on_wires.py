@@ -251,9 +251,9 @@ def test_a_stop_after_the_vehicles_have_ended_finds_them_at_rest(monkeypatch, ca
 
 def test_a_vehicle_is_stopped_without_its_host(monkeypatch):
     """The host hears the same stop after the vehicle's report of it: that is no second stop."""
-    late, asked = [], stop_requests.Asked()
+    late, asked = [], stop_requests.StopRequests()
     monkeypatch.setattr(stop_requests, "AGAIN_NS", -1)  # in the host: however late
-    monkeypatch.setattr("testbed.rig.wired.host.Asked", lambda: asked)
+    monkeypatch.setattr("testbed.rig.wired.host.StopRequests", lambda: asked)
 
     def stop_later(rig):
         endpoint = rig.experiment.table.lab.network.endpoint
@@ -333,9 +333,9 @@ def test_the_second_ctrl_c_shuts_valves_and_air_without_a_brake():
 
 
 def test_a_stop_after_a_ctrl_c_shuts_valves_and_air(monkeypatch):
-    asked, orders = stop_requests.Asked(), []
+    asked, orders = stop_requests.StopRequests(), []
     monkeypatch.setattr(stop_requests, "AGAIN_NS", -1)  # in the host: however soon
-    monkeypatch.setattr("testbed.rig.wired.host.Asked", lambda: asked)
+    monkeypatch.setattr("testbed.rig.wired.host.StopRequests", lambda: asked)
     ordered = HostFlight._stop_all
 
     def stop_all(flight, reason, *, at_once=False):

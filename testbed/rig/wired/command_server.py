@@ -12,7 +12,7 @@ from testbed.net.keys import Keys
 from testbed.net.session import answer_to, on_word
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
-from testbed.rig.wired.stop_requests import Asked
+from testbed.rig.wired.stop_requests import StopRequests
 
 SOONEST_NS = 1_000_000_000  # an order to start may be late by this much
 FARTHEST_NS = 30_000_000_000  # an order to start may be early by this much
@@ -44,7 +44,7 @@ class CommandServer:
         self.stop_reason: str | None = None
         self._name, self._board, self._flying = name, board, threading.Event()
         self._close: Callable[[], None] | None = None
-        self.asked = Asked()
+        self.asked = StopRequests()
         self.operator_stops = 0  # without those that the host ordered
         self._obeyed = threading.Event()
         # of the law on board: why it does not change, empty if it does

@@ -38,7 +38,7 @@ from testbed.rig.wired.blocking_law import blamed
 from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight
 from testbed.rig.wired.run_results import RunResults
-from testbed.rig.wired.stop_requests import Asked
+from testbed.rig.wired.stop_requests import StopRequests
 from testbed.rig.wired.suitable import check_wires
 from testbed.rig.wired.table_report import TableReport
 from testbed.rig.wired.trial_call import compile_host
@@ -187,7 +187,7 @@ class WireRig:
         opened, self.results.key_warnings = open_lab(network, self.experiment.vehicles)
         session, keys = stack.enter_context(opened), Keys(network.lab)
         names, text = list(self.experiment.vehicles), msgspec.json.encode(self.experiment)
-        contact = VehicleContact(session, keys, names, Asked())
+        contact = VehicleContact(session, keys, names, StopRequests())
         answering = [
             answer_to(session, keys.experiment, lambda _: text),
             answer_to(session, keys.ended, lambda _: self._ended_as(contact)),

@@ -32,7 +32,7 @@ from testbed.rig.interface import holds
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.flood import FloodWatch
 from testbed.rig.wired.process_faults import ProcessFaults
-from testbed.rig.wired.stop_requests import Asked, StopCount
+from testbed.rig.wired.stop_requests import StopCount, StopRequests
 from testbed.rig.wired.thrusters import WiredThrusters
 from testbed.rig.wired.valve_watch import ValveWatch
 
@@ -84,7 +84,7 @@ class VehicleFlight:
         self.responses: dict[Response, float] = {}  # active responses, and since when [s]
         self._arrived_ns: dict[int, int] = {}  # arrival of the newest pose, by plan number
         self.fault: FaultReport | None = None
-        self.signals = Asked()  # Ctrl-C at this vehicle's terminal
+        self.signals = StopRequests()  # Ctrl-C at this vehicle's terminal
         self._stops = StopCount(lambda: self.signals.times, commands.asked)
         self.landed_at: float | None = None  # when its air was ordered off [s]
 
@@ -225,7 +225,7 @@ class LeasedNode:
 
 
 @contextmanager
-def counted(asked: Asked) -> Iterator[None]:
+def counted(asked: StopRequests) -> Iterator[None]:
     """While open, Ctrl-C and SIGTERM are counted as stops, which the loop obeys."""
     if threading.current_thread() is not threading.main_thread():  # it gets no signals
         yield

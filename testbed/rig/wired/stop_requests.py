@@ -11,7 +11,7 @@ KEPT = 100  # ids that are kept
 SHARED = 8  # newest ids that another party is told of
 
 
-class Asked:
+class StopRequests:
     """Counts stops: 1 is brake and land, 2 is shut valves and air at once."""
 
     def __init__(self, now: Callable[[], int] = monotonic_ns) -> None:
@@ -77,7 +77,10 @@ class StopCount:
     """
 
     def __init__(
-        self, terminal: Callable[[], int], asked: Asked, now: Callable[[], int] = monotonic_ns
+        self,
+        terminal: Callable[[], int],
+        asked: StopRequests,
+        now: Callable[[], int] = monotonic_ns,
     ) -> None:
         self._terminal, self._asked, self._now = terminal, asked, now
         self._first: int | None = None  # at the terminal

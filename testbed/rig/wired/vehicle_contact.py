@@ -11,7 +11,7 @@ from testbed.net.keys import Keys
 from testbed.net.roll_call import Roll
 from testbed.net.session import NetworkError
 from testbed.rig.wired.preflight import order
-from testbed.rig.wired.stop_requests import Asked
+from testbed.rig.wired.stop_requests import StopRequests
 
 
 class HostError(TestbedError):
@@ -28,7 +28,7 @@ class VehicleContact:
     """
 
     def __init__(
-        self, session: zenoh.Session, keys: Keys, names: Sequence[str], asked: Asked
+        self, session: zenoh.Session, keys: Keys, names: Sequence[str], asked: StopRequests
     ) -> None:
         self.session, self.keys, self.asked = session, keys, asked
         self.roll = Roll(session, keys, names)

@@ -30,7 +30,7 @@ from testbed.rig.wired.pause import Pause
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.remote_node import RemoteNode
-from testbed.rig.wired.stop_requests import Asked, StopCount
+from testbed.rig.wired.stop_requests import StopCount, StopRequests
 from testbed.rig.wired.truth import newest_truth
 
 PRIORITY = 10  # below the vehicles, which drive the valves
@@ -84,7 +84,7 @@ class HostFlight:
         book: Book,
         party: Party,
         disk_free: Callable[[], float],
-        asked: Asked,
+        asked: StopRequests,
         live: LiveFlight | None,
     ) -> None:
         self._process_faults = ProcessFaults(experiment.inject, lambda: party.clock.now)

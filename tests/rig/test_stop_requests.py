@@ -2,12 +2,12 @@
 
 import pytest
 
-from testbed.rig.wired.stop_requests import AGAIN_NS, SHARED, Asked, StopCount
+from testbed.rig.wired.stop_requests import AGAIN_NS, SHARED, StopCount, StopRequests
 
 
 def heard(*times):
     now = iter(times)
-    asked = Asked(lambda: next(now))
+    asked = StopRequests(lambda: next(now))
     return [asked.hear() for _ in times]
 
 
@@ -21,14 +21,14 @@ def test_a_stop_that_comes_later_is_the_second():
 
 def test_copies_of_one_stop_count_once_however_late():
     now = iter((0, 5 * AGAIN_NS, 9 * AGAIN_NS))
-    asked = Asked(lambda: next(now))
+    asked = StopRequests(lambda: next(now))
     assert [asked.hear(one) for one in (b"a", b"a", b"b", b"a", b"b")] == [1, 1, 2, 2, 2]
 
 
 @pytest.mark.parametrize("late", [1, 3 * AGAIN_NS])
 def test_a_stop_that_a_vehicle_hears_first_counts_once_at_its_host(late):
-    vehicle, now = Asked(lambda: 0), [0]
-    host = Asked(lambda: now[0])
+    vehicle, now = StopRequests(lambda: 0), [0]
+    host = StopRequests(lambda: now[0])
     assert vehicle.hear(b"a") == 1
     for now[0] in (5, 10):  # every report of the vehicle has it
         host.at_least(vehicle.times, vehicle.marks)
@@ -39,8 +39,8 @@ def test_a_stop_that_a_vehicle_hears_first_counts_once_at_its_host(late):
 
 
 def test_two_operators_at_the_same_time_count_once_also_if_both_come_late():
-    vehicle, now = Asked(lambda: 0), [0]
-    host = Asked(lambda: now[0])
+    vehicle, now = StopRequests(lambda: 0), [0]
+    host = StopRequests(lambda: now[0])
     assert [vehicle.hear(one) for one in (b"a", b"b")] == [1, 1]
     host.at_least(vehicle.times, vehicle.marks)
     now[0] = 2 * AGAIN_NS
@@ -48,14 +48,14 @@ def test_two_operators_at_the_same_time_count_once_also_if_both_come_late():
 
 
 def test_the_marks_stay_small_whatever_comes():
-    vehicle = Asked(lambda: 0)
+    vehicle = StopRequests(lambda: 0)
     for k in range(100):
         vehicle.hear(b"%d" % k * 3000)
     assert sum(map(len, vehicle.marks)) == 8 * SHARED
 
 
 def test_one_that_says_so_is_at_once():
-    asked = Asked(lambda: 0)
+    asked = StopRequests(lambda: 0)
     assert asked.times == 0
     asked.insist()
     assert asked.times == 2
@@ -65,7 +65,7 @@ def test_one_that_says_so_is_at_once():
 @pytest.mark.parametrize("first", ["at the terminal", "elsewhere"])
 def test_a_ctrl_c_and_a_stop_from_elsewhere_are_two_stops(first, apart, times):
     now, own = [7], [0]
-    asked = Asked(lambda: now[0])
+    asked = StopRequests(lambda: now[0])
     stops = StopCount(lambda: own[0], asked, lambda: now[0])
 
     def press(where):
@@ -82,6 +82,6 @@ def test_a_ctrl_c_and_a_stop_from_elsewhere_are_two_stops(first, apart, times):
 
 
 def test_two_ctrl_c_are_two_stops_without_any_other():
-    own, asked = [0], Asked(lambda: 0)
+    own, asked = [0], StopRequests(lambda: 0)
     stops = StopCount(lambda: own[0], asked, lambda: 0)
     assert [stops() for own[0] in (0, 1, 2)] == [0, 1, 2]
