@@ -12,6 +12,7 @@ from rich.console import Console
 
 from testbed.cli.base_table import table_of, tilted
 from testbed.cli.exit_code import BAD_INPUT, OK
+from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import refuse, warn
 from testbed.cli.screen import say
 from testbed.core.error import TestbedError
@@ -63,12 +64,9 @@ def refused(error: TestbedError, *, as_json: bool) -> int:
     return refuse(error, BAD_INPUT)
 
 
-Asked = tuple[Sequence[Path], str | None, str | None, float | None, float | None]
-
-
-def read_logs(asked: Asked) -> list[MotionLog]:
-    """Logs or run folders: paths, mapping, vehicle of a run, and the part of their time [s]."""
-    paths, mapping, body, since, until = asked
+def read_logs(given: FlightLogs) -> list[MotionLog]:
+    """Read logs or run folders; rows outside the given time are marked as not whole."""
+    paths, mapping, body, since, until = given
     logs = []
     for path in paths:
         if path.is_dir() or (mapping is None and path.suffix.lower() == ".mcap"):
@@ -90,22 +88,20 @@ def read_logs(asked: Asked) -> list[MotionLog]:
     return logs
 
 
-def vehicles_of(asked: Asked) -> dict[str, Vehicle]:
-    """The lab's vehicles, which the mapping names."""
-    return (
-        {name: load_vehicle(name) for name in load_mapping(asked[1]).vehicles} if asked[1] else {}
-    )
+def vehicles_of(mapping: str | None) -> dict[str, Vehicle]:
+    """The lab's vehicles, which the mapping names; none without a mapping."""
+    return {name: load_vehicle(name) for name in load_mapping(mapping).vehicles} if mapping else {}
 
 
 def motion(
-    asked: Asked, vehicle: str, out: Path | None, table_out: Path | None, *, force: bool,
+    given: FlightLogs, vehicle: str, out: Path | None, table_out: Path | None, *, force: bool,
     as_json: bool,
 ) -> int:  # fmt: skip
     """Fit a vehicle and write its file, and the slope of the table."""
     try:
-        logs = read_logs(asked)
+        logs = read_logs(given)
         found = calibrate_motion(
-            logs, load_vehicle(vehicle), others=vehicles_of(asked), force=force,
+            logs, load_vehicle(vehicle), others=vehicles_of(given.mapping), force=force,
             progress=lambda text: None if as_json else say(steps, text, "dim"),
         )  # fmt: skip
         if out is not None:
@@ -113,7 +109,9 @@ def motion(
         if table_out is not None:
             slope = [float(found.estimate.p[found.model.index(a)]) for a in ("slope_x", "slope_y")]
             origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
-            write_table(table_out, tilted(table_of(*asked[:2]), slope), origin, today())
+            write_table(
+                table_out, tilted(table_of(given.paths, given.mapping), slope), origin, today()
+            )
     except RefusedError as error:
         return refused(error, as_json=as_json)
     except TestbedError as error:
@@ -150,16 +148,16 @@ def motion(
 
 
 def check_against(
-    asked: Asked, vehicle: str, against: str | None, table: str | None, out: Path | None, *,
+    given: FlightLogs, vehicle: str, against: str | None, table: str | None, out: Path | None, *,
     as_json: bool,
 ) -> int:  # fmt: skip
     """Predict logs and print how far off the twin is."""
     try:
-        logs = read_logs(asked)
+        logs = read_logs(given)
         own = load_vehicle(vehicle)
         other = load_vehicle(against) if against else None
         surface = load_table(table) if table else None
-        doubts = doubts_about(logs, own, vehicles_of(asked))
+        doubts = doubts_about(logs, own, vehicles_of(given.mapping))
         result, errors = validate(logs, own, other, surface)
         seen = [log.where for log in logs if _knows(vehicle, log)]
         result |= {
@@ -276,8 +274,7 @@ def mocap(
             if vehicle is None:
                 raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
             log, own = read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
-            doubts = admitted([log], own, vehicles_of(([path], mapping, None, None, None)),
-                              force=force)  # fmt: skip
+            doubts = admitted([log], own, vehicles_of(mapping), force=force)
             result = seen_in_flight(log, own)
             if not as_json:
                 warn([f"{one.name}: {one.text}" for one in doubts])

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from testbed.cli.flight_logs import FlightLogs
+
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
 FLIGHT = click.Path(exists=True, path_type=Path)  # also a run folder
 OUT = click.Path(path_type=Path, dir_okay=False)
@@ -49,7 +51,7 @@ def motion(
 
     context.exit(
         work.motion(
-            (logs, mapping, body, since, until),
+            FlightLogs(logs, mapping, body, since, until),
             vehicle,
             out,
             table_out,
@@ -80,8 +82,8 @@ def floor(
 
     context.exit(
         work.floor(
-            (logs, mapping, body, since, until), vehicle, table, size, nodes, out, vehicle_out,
-            page, force=force, as_json=as_json,
+            FlightLogs(logs, mapping, body, since, until), vehicle, table, size, nodes, out,
+            vehicle_out, page, force=force, as_json=as_json,
         )
     )  # fmt: skip
 
@@ -182,7 +184,12 @@ def validate(
 
     context.exit(
         work.check_against(
-            (logs, mapping, body, since, until), vehicle, against, table, out, as_json=as_json
+            FlightLogs(logs, mapping, body, since, until),
+            vehicle,
+            against,
+            table,
+            out,
+            as_json=as_json,
         )
     )
 

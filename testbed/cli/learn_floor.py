@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from testbed.cli.base_table import table_of
-from testbed.cli.calibrate import Asked, print_json, read_logs, refused, screen, today, vehicles_of
+from testbed.cli.calibrate import print_json, read_logs, refused, screen, today, vehicles_of
 from testbed.cli.exit_code import OK
+from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import warn
 from testbed.cli.screen import say
 from testbed.core.error import TestbedError
@@ -19,17 +20,18 @@ from testbed.identification.vehicle_file import load_vehicle
 
 
 def floor(
-    asked: Asked, vehicle: str, table: str | None, size: tuple[float, float] | None, nodes: int,
-    out: Path | None, vehicle_out: Path | None, drawn: Path | None, *, force: bool, as_json: bool,
+    given: FlightLogs, vehicle: str, table: str | None, size: tuple[float, float] | None,
+    nodes: int, out: Path | None, vehicle_out: Path | None, drawn: Path | None, *,
+    force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Learn the slope map; write it as a table file, its vehicle and a page."""
     try:
-        logs = read_logs(asked)
+        logs = read_logs(given)
         own = load_vehicle(vehicle)
-        base = load_table(table) if table or asked[1] else table_of(*asked[:2])
-        named = load_mapping(asked[1]).table if asked[1] else None
+        base = load_table(table) if table or given.mapping else table_of(given.paths, None)
+        named = load_mapping(given.mapping).table if given.mapping else None
         span = size or named or base.size
-        doubts = admitted(logs, own, vehicles_of(asked), force=force)
+        doubts = admitted(logs, own, vehicles_of(given.mapping), force=force)
         found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
         model, p = flat_fit(logs, own)
         surface = with_map(base, found.slope, found.size)
