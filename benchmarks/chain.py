@@ -54,13 +54,13 @@ def timed(function: Callable[..., Any], times: list[float]) -> Callable[..., Any
 def measure(experiment: Experiment, name: str, heard: list[Inputs]) -> dict[str, list[float]]:
     """Quantiles of one flight [us]."""
     agent = make_agent(experiment, name)
-    ticks, compiled = list[float](), list[float]()
-    agent._step = timed(agent._step, compiled)
+    ticks, seen, acted = list[float](), list[float](), list[float]()
+    agent._see, agent._act = timed(agent._see, seen), timed(agent._act, acted)
     step = timed(agent.step, ticks)
     with no_garbage_collection():
         for inputs in heard:
             step(inputs)
-    found = {"Agent.step": ticks, "chain.step": compiled}
+    found = {"Agent.step": ticks, "chain": [sum(pair) for pair in zip(seen, acted, strict=True)]}
     return {
         name: [1e6 * float(q) for q in np.quantile(t[STARTED:], SHARES)]
         for name, t in found.items()

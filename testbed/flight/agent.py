@@ -107,11 +107,10 @@ class Agent:
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
         self._warnings = FaultWarnings(self._faults)
         self._see, self._act = settled(chain.see), settled(chain.act)
-        self._step = settled(chain.step)
 
     @property
     def vehicle(self) -> Bundle:
-        """The chain's constants, memory and record at one address, as `chain.step` takes them."""
+        """The chain's constants, memory and record at one address, as `chain.see` takes them."""
         return self._vehicle
 
     @property
@@ -152,18 +151,16 @@ class Agent:
         samples, others = PoseSamples.of(inputs.samples).rows, self._others(inputs)
         references = NO_REFERENCES
         # a vehicle that stays after its flight has the setpoint of `staying`
-        guided = self.guidance is not None and setpoint is None
-        if guided and self.guidance is not None:
-            self._tell(inputs, None)
-            self._see(self._vehicle, samples)
-            setpoint, message = self._guided(self.guidance, inputs)
+        # a vehicle that stays after its flight has the setpoint of `staying`
+        guidance = self.guidance if setpoint is None else None
         self._tell(inputs, setpoint)
+        self._see(self._vehicle, samples)
+        if guidance is not None:
+            setpoint, message = self._guided(guidance, inputs)
+            self._tell(inputs, setpoint)
         if isinstance(setpoint, Trajectory):
             references = References.of(setpoint.references).rows
-        if not guided:
-            self._step(self._vehicle, samples, references, others)
-        else:
-            self._act(self._vehicle, samples, references, others)
+        self._act(self._vehicle, samples, references, others)
         return self._outputs(inputs, setpoint, message)
 
     def staying(self, t: float) -> Trajectory | None:
@@ -264,8 +261,9 @@ class Agent:
         return self.report(fault, gate_fault, inputs)
 
     def step_row(self, samples: Array, references: Array, neighbours: Array) -> None:
-        """One tick of the chain alone, of which `row` says the rest; see `chain.step`."""
-        self._step(self._vehicle, samples, references, neighbours)
+        """One tick of the chain alone, of which `row` says the rest; see `chain.act`."""
+        self._see(self._vehicle, samples)
+        self._act(self._vehicle, samples, references, neighbours)
 
     def report(
         self, fault: int, gate_fault: int, inputs: Callable[[], Inputs]

@@ -1,7 +1,12 @@
-"""One vehicle's flight chain: a compiled function of (parameters, its memory, the tick's record).
+"""One vehicle's flight chain: compiled functions of (parameters, its memory, the tick's record).
 
-    samples -> estimator -> [law, if on board] -> tracker -> safety filter -> fault monitor -> brake
-            -> gate -> allocator -> modulator -> valve times
+    see:  samples -> estimator
+    [law, if on board]
+    act:  tracker -> safety filter -> fault monitor -> brake -> gate -> allocator -> modulator
+          -> valve times
+
+Call `see` and then `act` once per jet period, with time increasing. They are two entries, so on the
+first flight two processes compile them side by side.
 
 No clock, no socket, no file, no randomness. The same inputs in the same order give the same
 outputs bit for bit, which is what replay checks.
@@ -33,23 +38,14 @@ from testbed.flight.plan import WEAKEST, in_microseconds
 
 
 @compiled
-def step(vehicle, samples, references, neighbours):
-    """One tick: call it once per jet period, with time increasing.
+def see(vehicle, samples):
+    """Write the estimate for the time at which the next pulses take effect.
 
     Args:
         vehicle: Bundle of Parameters; Memory, changed in place; and an array of one record.ROW,
-            whose `told` is read and whose `state` and `done` are written.
+            whose `told` is read and whose `state` is written.
         samples: poses since the last tick, rows (captured at, x, y, theta).
-        references: of a trajectory, see `tracker.aim`.
-        neighbours: rows as in `barrier.around`.
     """
-    see(vehicle, samples)
-    act(vehicle, samples, references, neighbours)
-
-
-@pasted
-def see(vehicle, samples):
-    """Write the estimate for the time at which the next pulses take effect."""
     p, memory, rows = unpacked(vehicle)
     m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
     fixed = memory.fixed[0]
@@ -66,9 +62,16 @@ def see(vehicle, samples):
     estimator.predict(model, m, memory.fired, told.effect_at, told.t, row.state)
 
 
-@pasted
+@compiled
 def act(vehicle, samples, references, neighbours):
-    """From the estimate and the setpoint to valve times."""
+    """From the estimate and the setpoint to valve times.
+
+    Args:
+        vehicle: as for `see`; `told` and `state` of its record are read, and `done` is written.
+        samples: as for `see`.
+        references: of a trajectory, see `tracker.aim`.
+        neighbours: rows as in `barrier.around`.
+    """
     p, memory, rows = unpacked(vehicle)
     row = rows[0]
     m, told, state, done = memory.fixed[0], row.told, row.state, row.done

@@ -1,8 +1,9 @@
 """Compiles parts of a flight's code in processes of their own, on the first flight on a machine.
 
-The compiler works on one core. While this process compiles small functions, one more compiles the
-chain, another the plant and a third the law; they meet in the cache on disk (core/code_cache.py),
-where each finds what the others have finished and waits for what another one has begun.
+The compiler works on one core. While this process compiles the estimator and small functions, one
+more compiles the rest of the chain, another the plant and a third the law; they meet in the cache
+on disk (core/code_cache.py), where each finds what the others have finished and waits for what
+another one has begun.
 
     python -m testbed.rig.compile_ahead PART    the experiment is read from standard input
 """
@@ -16,20 +17,24 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 from numba.core import config
 
 from controllers.own_law import OwnLawParams
 from sim_twin.radio import SIZE
 from testbed.config import Experiment
+from testbed.core.code_address import CodeAddress
 from testbed.core.code_cache import has_code
 from testbed.core.rows import States
-from testbed.core.types import Accel, Health, Inputs, Pose, State, Twist
+from testbed.core.types import Accel, Pose, State, Twist
+from testbed.flight import chain
+from testbed.flight.barrier import WIDTH
 from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.twin import make_twin
 
 TICKS = 4  # of a law, until its ticks are single calls, see fleet/host.py
-DONE = "chain.step"  # this function has code: a flight has been compiled
+DONE = "chain.act"  # this function has code: a flight has been compiled
 LOCK = "compiling.lock"  # in the cache: one flight at a time starts other processes
 
 LARGEST = "vehicle"  # of the parts
@@ -105,9 +110,10 @@ def _start(part: str, experiment: Experiment) -> "subprocess.Popen[bytes]":
 
 
 def vehicle(experiment: Experiment) -> None:
-    """Compile the chain."""
+    """Compile the chain from the setpoint to the valves."""
     agent = make_agent(experiment, next(iter(experiment.vehicles)))
-    agent.step(Inputs(0.0, False, (), None, {}, Health(0.0, 0.0, 0.0)))
+    samples, references, others = np.empty((0, 4)), np.empty((0, 10)), np.empty((0, WIDTH))
+    CodeAddress(chain.act, (agent.vehicle, samples, references, others))
 
 
 def plant(experiment: Experiment) -> None:

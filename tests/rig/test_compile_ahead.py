@@ -58,7 +58,7 @@ def test_no_process_is_left(started, cache):
 
 def test_none_is_started_where_code_is_there(started, cache):
     cache.mkdir()
-    (cache / "chain.step-1.py311.nbi").touch()
+    (cache / "chain.act-1.py311.nbi").touch()
     with compiling_ahead(load(find("hold"))):
         assert not started
 

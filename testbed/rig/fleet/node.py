@@ -65,7 +65,7 @@ class TwinNode:
 
     @property
     def bundles(self) -> tuple[Bundle, Bundle, Bundle]:
-        """Addresses of its VehiclePorts, its table, and the vehicle for `chain.step`."""
+        """Addresses of its VehiclePorts, its table, and the vehicle for `chain.see`."""
         return self._ports, self._rows, self._agent.vehicle
 
     @property

@@ -27,7 +27,8 @@ class Codes(NamedTuple):
     advance: CodeAddress
     observe: CodeAddress
     hear: CodeAddress
-    step: CodeAddress
+    see: CodeAddress
+    act: CodeAddress
     say: CodeAddress
     law_tick: CodeAddress
     law: CodeAddress  # see reference_model.code_for
@@ -55,7 +56,7 @@ class FleetPorts(NamedTuple):
     silent_s: float  # see loop.longest_silence
     ports: Bundle  # of the first vehicle, for its kind: exchange.VehiclePorts
     table: Bundle  # TickTable
-    chain: Bundle  # see chain.step
+    chain: Bundle  # see chain.see
     law_ports: Bundle  # of the first law: exchange.HostPorts
     law_table: Bundle  # HostTable
     model: Bundle  # ReferenceModel
@@ -142,7 +143,8 @@ def step_vehicle(it, out, v, now):
     counts = ticks.counts[row]
     samples = ticks.samples[row, : counts[SAMPLES]]
     references = ticks.references[row, : counts[REFERENCES]]
-    call(codes.step, (chain, samples, references, others[: counts[STATES]]))
+    call(codes.see, (chain, samples))
+    call(codes.act, (chain, samples, references, others[: counts[STATES]]))
     inhibit, fault, gate_fault, lands, looks, openings, full = call(codes.say, (ports, table, row))
     said[INHIBIT], said[FAULT], said[GATE_FAULT] = inhibit, fault, gate_fault
     said[LANDS], said[LOOKS], said[FULL] = lands, looks, full
