@@ -86,27 +86,24 @@ class Unpacked(NamedTuple):
     sequences: dict[str, list[tuple[Any, ...]]]  # elements by name of the sequence
 
 
+@cache
+def whole(kind: str, most: tuple[int, ...]) -> struct.Struct:
+    """Packs a message with sequences of these capacities; shorter ones are filled with 0."""
+    sizes = (DTYPES[one.kind].itemsize for one in MESSAGES[kind].sequences)
+    sequences = (f"II{number * size}s" for number, size in zip(most, sizes, strict=True))
+    return struct.Struct(f"<4s{form(kind)}{''.join(sequences)}")
+
+
 class Packer:
     """Packs messages of one topic; capacities grow to the longest sequence so far."""
 
     def __init__(self, name: str) -> None:
-        definition = MESSAGES[name]
         self.name = name
-        self._sizes = [DTYPES[one.kind].itemsize for one in definition.sequences]
-        self.most = [1] * len(self._sizes)  # capacities
-        self._pack = self._packs()
+        self.most = [1] * len(MESSAGES[name].sequences)  # capacities
 
     def grow(self, most: list[int]) -> None:
         """Take these capacities, none of them smaller than before."""
-        if most != self.most:
-            self.most = most
-            self._pack = self._packs()
-
-    def _packs(self) -> Callable[..., bytes]:
-        """Packs a whole message; bytes that are shorter than their capacity are filled with 0."""
-        pairs = zip(self.most, self._sizes, strict=True)
-        sequences = "".join(f"II{most * size}s" for most, size in pairs)
-        return struct.Struct("<4s" + form(self.name) + sequences).pack
+        self.most = most
 
     def pack(self, fixed: Iterable[Any], sequences: Iterable[tuple[int, bytes]]) -> bytes:
         """Encode one message as CDR.
@@ -121,7 +118,7 @@ class Packer:
             most[k] = max(most[k], number)
             parts += (number, most[k], data)
         self.grow(most)
-        return self._pack(HEADER, *fixed, *parts)
+        return whole(self.name, tuple(most)).pack(HEADER, *fixed, *parts)
 
 
 def unpack(name: str, data: bytes) -> Unpacked:

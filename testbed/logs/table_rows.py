@@ -252,9 +252,5 @@ def _fill_neighbours(
     others = rows.elements(rows.layout.part("neighbours"))[:n, :known]
     most = others.shape[1]
     unused = _unused(most, counts)
-    for field, numbers in (
-        (others["state"]["rejected"], states[:, :, -1]),
-        (others["vehicle"], vehicles),
-    ):
-        field[...] = numbers[:, :most]
-        field[unused] = 0
+    others["state"]["rejected"] = np.where(unused, 0, states[:, :most, -1])
+    others["vehicle"] = np.where(unused, 0, vehicles[:, :most])
