@@ -202,10 +202,9 @@ def _gate(experiment: Experiment) -> Iterator[Default]:
 def _arming(experiment: Experiment) -> Iterator[Default]:
     """A pose of slow or late cameras is older; one frame may be lost, as for `pose_stale`."""
     mocap, usual = experiment.table.mocap, ArmingParams().pose_age_s
-    oldest = mocap.latency_s + 2.0 / mocap.rate_hz + 8.0 * mocap.jitter_s
     yield Default(
-        ("arming", "pose_age_s"), max(usual, oldest),
-        f"latency {mocap.latency_s:g} s, two frames of {1.0 / mocap.rate_hz:.3g} s and eight times"
+        ("arming", "pose_age_s"), max(usual, mocap.oldest_s),
+        f"latency {mocap.latency_s:g} s, two frames of {mocap.frame_s:.3g} s and eight times"
         f" the jitter {mocap.jitter_s:g} s; at least {usual:g} s",
     )  # fmt: skip
 

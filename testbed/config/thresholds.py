@@ -61,7 +61,7 @@ def words_of(
     volts = [one.gauges.undervoltage_v or USUAL_UNDERVOLTAGE for one in vehicles]
     speed = flight.barrier.max_speed
     return {
-        "frame": 1.0 / mocap.rate_hz,
+        "frame": mocap.frame_s,
         "latency": mocap.latency_s,
         "jitter": mocap.jitter_s,
         "noise": mocap.noise,
@@ -91,7 +91,7 @@ def blind_s(table: Table, flight: FlightParams, vehicles: int) -> float:
     room = min(margins.edge_margin, 0.5 * margins.vehicle_margin if vehicles > 1 else math.inf)
     mocap = table.mocap
     looks = np.arange(SHORTEST_BLIND, LONGEST_BLIND, 0.05)
-    wide = prediction(flight.estimator, mocap.noise, 1.0 / mocap.rate_hz, tuple(looks.tolist()))
+    wide = prediction(flight.estimator, mocap.noise, mocap.frame_s, tuple(looks.tolist()))
     within = looks[SURE * np.array(wide) <= room]
     if len(within) == len(looks):
         return LONGEST_BLIND

@@ -60,7 +60,7 @@ def _camera(experiment: Experiment) -> Iterator[Violation]:
     if mocap.latency_s >= timeout:
         expected = f"less than flight.gate.pose_timeout_s, {timeout:g} s"
         yield Violation(("table", "mocap", "latency_s"), expected, f"{mocap.latency_s:g} s")
-    elif 1.0 / mocap.rate_hz + mocap.latency_s >= timeout:
+    elif mocap.frame_s + mocap.latency_s >= timeout:
         slowest = 1.0 / (timeout - mocap.latency_s)
         expected = f"more than {slowest:.3g} Hz: the gate waits {timeout:g} s for a pose"
         yield Violation(key, expected, f"{mocap.rate_hz:g} Hz")

@@ -52,6 +52,16 @@ class Mocap(Struct, frozen=True, forbid_unknown_fields=True):
     dropout_rate: NonNegative  # rate at which a body is lost [1/s]
     dropout_s: NonNegative  # mean length of a loss
 
+    @property
+    def frame_s(self) -> float:
+        """Time between two frames [s]."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def oldest_s(self) -> float:
+        """Largest age of a pose while one frame is late or lost, as in the row `pose_stale` [s]."""
+        return self.latency_s + 2.0 * self.frame_s + 8.0 * self.jitter_s
+
 
 class Link(Struct, frozen=True, forbid_unknown_fields=True):
     """Wireless link with burst loss (Gilbert-Elliott)."""

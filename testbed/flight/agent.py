@@ -151,7 +151,6 @@ class Agent:
         samples, others = PoseSamples.of(inputs.samples).rows, self._others(inputs)
         references = NO_REFERENCES
         # a vehicle that stays after its flight has the setpoint of `staying`
-        # a vehicle that stays after its flight has the setpoint of `staying`
         guidance = self.guidance if setpoint is None else None
         self._tell(inputs, setpoint)
         self._see(self._vehicle, samples)

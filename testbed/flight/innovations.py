@@ -335,7 +335,7 @@ def known_of(
         jet.thrust * ((jet.position[0] - x) * jet.push[0] + (jet.position[1] - y) * jet.push[1])
         for jet in vehicle.jets
     ]
-    period, turn = max(LOOK, 1.0 / mocap.rate_hz), np.radians(mocap.noise_deg) ** 2
+    period, turn = max(LOOK, mocap.frame_s), np.radians(mocap.noise_deg) ** 2
     return Known(
         vehicle.com,
         np.array([mocap.noise**2 + (x * x + y * y) * turn, turn]) + 1e-16,

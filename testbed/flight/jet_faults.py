@@ -47,7 +47,6 @@ Array = NDArray[np.float64]
 
 LOOK = 0.1  # least length of a look; faster ticks are combined: their residuals are dependent [s]
 TRUSTED_AGE = 0.1  # the age of a pose that counts is at least this: fast cameras may lose some [s]
-LOST, JITTERS = 2.0, 8.0  # slow cameras may lose one frame: as `pose_stale` of the fault table
 MEMORY_S = 10.0  # time constant of forgetting [s]
 STRETCH = 1.0  # looks of the long window are summed over this [s]
 LONG_MEMORY_S = 40.0  # [s]
@@ -343,9 +342,7 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     A look is no shorter than a camera frame: without a pose the estimate shows no push in it.
     """
     mocap = table.mocap
-    frame = 1.0 / mocap.rate_hz
-    oldest = mocap.latency_s + LOST * frame + JITTERS * mocap.jitter_s
-    ticks = max(1, round(LOOK / period), math.ceil(frame / period - 1e-9))
+    ticks = max(1, round(LOOK / period), math.ceil(mocap.frame_s / period - 1e-9))
     period *= ticks
     n = len(vehicle.jets)
     scale = np.array([[vehicle.mass], [vehicle.mass], [vehicle.inertia]])
@@ -367,7 +364,7 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
         slope, bumps, ALIKE * (period * (bumps - BUMPS)) ** 2,
         np.ascontiguousarray(response(estimator, vehicle, mocap, period)),
         period * hardest, period,
-        ticks, max(TRUSTED_AGE, oldest), max(1, round(BLOCK / period)),
+        ticks, max(TRUSTED_AGE, mocap.oldest_s), max(1, round(BLOCK / period)),
         1.0 - min(0.5, period / MEMORY_S), max(1, round(STRETCH / period)),
         least_of(vehicle, table, bumps), pads_of(vehicle), believes,
     )  # fmt: skip

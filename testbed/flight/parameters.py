@@ -98,7 +98,7 @@ def make_parameters(
             vehicle.air.set_pressure,
             vehicle.air.tank_pressure,
             table.mocap.noise > 0.0,
-            1.0 / table.mocap.rate_hz,
+            table.mocap.frame_s,
             max(1e-6, stopping_force(vehicle) / vehicle.mass),
         ),
         jets_known=known,

@@ -69,7 +69,7 @@ def response(params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, period: fl
 
     `period` is that of the looks [s].
     """
-    frame = 1.0 / mocap.rate_hz
+    frame = mocap.frame_s
     believes = filter_of(params, vehicle, mocap)
     noise, turn_noise = believes.noise.tolist()
     white, walk, turn_white, turn_walk = believes.walk.tolist()
