@@ -71,6 +71,7 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
         )
     with needs_extra("campaign"):
         import dask
+        import distributed  # noqa: F401  (its import sets up its loggers, which `_quiet` silences)
     settings = {
         "distributed.scheduler.allowed-failures": TRIES - 1,
         "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,

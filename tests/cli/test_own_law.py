@@ -317,7 +317,7 @@ def test_bad_laws_are_refused(testbed, here, name):
 def test_a_mistake_elsewhere_is_not_blamed_on_the_parameters(testbed, mine):
     mistake = "controller={type='python',law='law_of_mine.py:Spring',parameters={stiffness=1}}"
     key, _, found = refusal(testbed("check", "hold", mistake, "guidance.mode=wrnch"))
-    assert (key, found) == ("guidance.mode", '"wrnch"')
+    assert (key, found) == ("guidance.mode", '"wrnch" (did you mean `wrench`?)')
 
 
 # Failures in flight

@@ -46,7 +46,9 @@ def _toml(value):
 
 
 def test_its_command_is_understood(installed):
-    (command,) = [code for kind, code in BLOCKS if kind == "sh"]
+    (code,) = [code for kind, code in BLOCKS if kind == "sh"]
+    install, command = code.splitlines()
+    assert install == "pip install -e examples/plugins"
     words = shlex.split(command)
     assert words[:2] == ["testbed", "run"]
     done = CliRunner().invoke(main, ["check", *words[2:]])
