@@ -6,7 +6,7 @@ The compiler takes 300 MB, which a worker would keep, and each worker would comp
 import os
 import signal
 from collections.abc import Callable, Sequence
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 
 from numba.core import config
@@ -14,6 +14,7 @@ from numba.core import config
 from testbed.campaign.row import Task
 from testbed.config import Experiment
 from testbed.run.code_digest import code_digest
+from testbed.run.interrupt import held_back
 
 Warm = Callable[[str, Sequence[Task]], None]
 Read = Callable[[str, Sequence[str]], Experiment]
@@ -39,7 +40,9 @@ def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm, limi
         return
     words = (warm, base, list(marks.values()))
     process = get_context("spawn").Process(target=_run, args=words, daemon=True)
-    process.start()
+    resource_tracker.ensure_running()  # its start lets signals through again
+    with held_back():  # a Ctrl-C before `_run` would print a traceback
+        process.start()
     try:
         process.join(limit_s)
     finally:
@@ -61,5 +64,6 @@ def kind_of(experiment: Experiment) -> str:
 
 def _run(warm: Warm, base: str, tasks: Sequence[Task]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # end silently
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # of `held_back`
     os.dup2(2, 1)  # keeps a law's prints out of the result
     warm(base, tasks)

@@ -74,7 +74,7 @@ def wait_for_lines(process: subprocess.Popen, folder: Path, count: int) -> None:
     pytest.fail("some minutes are enough")
 
 
-@pytest.mark.parametrize("later_s", [0.1, 1.0])
+@pytest.mark.parametrize("later_s", [0.0, 0.1, 1.0])
 def test_ctrl_c_while_the_workers_start_is_said_in_one_line(start, here, later_s):
     process = start("campaign", "try.toml", "--jobs", "1", "--out", "a", wrapper=("setsid",))
     while not spawned(process):
