@@ -83,7 +83,7 @@ def read_copies(content: bytes, folder: Path, each: int, rng: np.random.Generato
             try:
                 book = LogReader(path)
                 seen = {(topic, data) for topic, _, data in book.read()}
-                said = bool(book.said())
+                said = bool(book.missing())
             except LogError:
                 counts["refused"] += 1
             except Exception as error:  # what would be exit code 70

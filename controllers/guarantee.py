@@ -174,11 +174,11 @@ def _edges(
     shape: Formation, names: Sequence[str], start: InitialState, safe: float
 ) -> list[Concern]:
     """Edges of the start that are beyond the range, too short or not connected."""
-    n, found, heard = len(names), [], shape.first[:-1, :-1].copy()
-    for i, j in np.argwhere(np.triu(heard) > 0.0).tolist():
+    n, found, edges = len(names), [], shape.first[:-1, :-1].copy()
+    for i, j in np.argwhere(np.triu(edges) > 0.0).tolist():
         x = float(np.linalg.norm(start.p[i] - start.p[j]))
         if x >= shape.range:
-            heard[i, j] = heard[j, i] = 0.0
+            edges[i, j] = edges[j, i] = 0.0
             text = (
                 f"the edge {names[i]}-{names[j]} starts {x:.4g} m long, beyond the range of "
                 f"{shape.range:.4g} m: it is lost at once"
@@ -187,7 +187,7 @@ def _edges(
         elif x <= safe:
             text = f"{names[i]} and {names[j]} start {x:.4g} m apart, not more than {safe:.4g} m"
             found.append(Concern("start-too-near", text))
-    if found and not shape.first[-1].any() and (alone := unreached(heard)):
+    if found and not shape.first[-1].any() and (alone := unreached(edges)):
         whom = ", ".join(names[k] for k in alone if k < n)
         text = f"no path of edges that can be heard leads from {names[0]} to {whom}"
         found.append(Concern("start-not-connected", text))

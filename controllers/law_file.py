@@ -36,8 +36,8 @@ class LawError(TestbedError):
     """
 
     def __init__(self, where: str, expected: str = "", found: str = "", hint: str = "") -> None:
-        said = f": expected {expected}, found {found}; {hint}" if expected else ""
-        super().__init__(f"{where}{said}")  # in one line, for the fault of a flight
+        detail = f": expected {expected}, found {found}; {hint}" if expected else ""
+        super().__init__(f"{where}{detail}")  # in one line, for the fault of a flight
         self.where, self.expected, self.found, self.hint = where, expected, found, hint
 
 

@@ -103,13 +103,13 @@ class OnnxPolicy:
             LawError: the model fails, or its output has another shape.
         """
         try:
-            (said,) = self._session.run([self._output], {self._input: seen[None]})
+            (output,) = self._session.run([self._output], {self._input: seen[None]})
         except Exception as error:  # see `_session`
             raise LawError(f"{self._name}: {str(error).splitlines()[0]}") from None
-        if said.shape != (1, self._d):
-            shapes = f"expected an output of shape [1, {self._d}], found {list(said.shape)}"
+        if output.shape != (1, self._d):
+            shapes = f"expected an output of shape [1, {self._d}], found {list(output.shape)}"
             raise LawError(f"{self._name}: {shapes}")
-        return said[0].astype(np.float64)
+        return output[0].astype(np.float64)
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """See `Decider`."""

@@ -68,7 +68,7 @@ class PlainLaw:
         if callable(self._jump):  # `propagate` looks for `jump` and `broadcast`
             self.jump = self._jumped
         if callable(self._broadcast):
-            self.broadcast = self._told
+            self.broadcast = self._broadcasted
         self.message_size = _message_size(law, path)
         if self.message_size and not callable(self._broadcast):
             expected = f"a method broadcast({', '.join(VERBS['broadcast'])}), which gives a message"
@@ -101,12 +101,12 @@ class PlainLaw:
         after = self._jump(law_state.copy(), *self._show(own, neighbours, world), t)
         return numbers(after, law_state.shape, self._asked["jump"], t)
 
-    def _told(
+    def _broadcasted(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> Array:
         shown = self._show(own, neighbours, world)
-        said = self._broadcast(read_only(law_state), *shown, t)
-        return numbers(said, (self.message_size,), self._asked["broadcast"], t)
+        message = self._broadcast(read_only(law_state), *shown, t)
+        return numbers(message, (self.message_size,), self._asked["broadcast"], t)
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
@@ -220,8 +220,8 @@ class Watched:
             ("jump", jump_of, len(state)), ("broadcast", broadcast_of, messages),
         ):  # fmt: skip
             with self._blamed():
-                said = function(self._law.gains, state, *scene)
-            numbers(said, (n,), asked(verb, None, self._path))
+                message = function(self._law.gains, state, *scene)
+            numbers(message, (n,), asked(verb, None, self._path))
 
     @contextmanager
     def _blamed(self) -> Iterator[None]:
@@ -260,6 +260,6 @@ class Watched:
             ahead = self._law.propagate(
                 law_state, own, neighbours, world, t, duration, steps
             )  # fmt: skip
-        said = np.empty(self.message_size)
-        like = Ahead(law_state, own.p, own.v, own.p, said)
+        message = np.empty(self.message_size)
+        like = Ahead(law_state, own.p, own.v, own.p, message)
         return ahead_of(ahead, like, self._asked["propagate"], t)

@@ -182,5 +182,5 @@ def _broadcast(gains, law_state, own, neighbours, world, t):
 
 
 def with_proxy(gains_type: type) -> tuple[Callable, Callable]:
-    """`jump` and `tell` of a law with a proxy, whose gains have a `coupling`."""
+    """`jump` and `broadcast` of a law with a proxy, whose gains have a `coupling`."""
     return compiled_jump(gains_type)(_jump), compiled_broadcast(gains_type)(_broadcast)

@@ -65,7 +65,7 @@ def discs_in(units, discs):
 @compiled
 def scene_in(units, own, neighbours, world):
     """Inputs of a law in the paper's units; the laws' messages already are."""
-    goal, heard = world.goal, neighbours
+    goal, others = world.goal, neighbours
     body = Body(
         own.p * units.length,
         own.v * units.speed,
@@ -76,12 +76,12 @@ def scene_in(units, own, neighbours, world):
         own.vehicle_index,
     )
     others = Neighbours(
-        heard.p * units.length,
-        heard.v * units.speed,
-        heard.radius * units.length,
-        heard.vehicle_index,
-        heard.message,
-        heard.message_t * units.time,
+        others.p * units.length,
+        others.v * units.speed,
+        others.radius * units.length,
+        others.vehicle_index,
+        others.message,
+        others.message_t * units.time,
     )
     target = Goal(
         goal.p * units.length,

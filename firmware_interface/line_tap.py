@@ -200,7 +200,7 @@ class LineTap:
             self._from_port()
         now = monotonic_us()
         if data := _read(self.board_fd):
-            if self._reports.hear(data, now):
+            if self._reports.receive(data, now):
                 self._offsets.append(now - self._reports.board_us)
             for frame in self._decoder.feed(data):
                 if frame.type == Status.CODE:

@@ -42,15 +42,15 @@ def qemu_command(config: Config) -> list[str]:
     ]
 
 
-def terminal_of(said: str) -> str:
+def terminal_of(output: str) -> str:
     """The terminal announced by the first line of QEMU's output.
 
     Raises:
         BoardError: the line names no terminal.
     """
-    if found := ANNOUNCED.search(said):
+    if found := ANNOUNCED.search(output):
         return found[1]
-    raise BoardError(f"{QEMU} said {said!r}, expected the name of its terminal")
+    raise BoardError(f"{QEMU} said {output!r}, expected the name of its terminal")
 
 
 class QemuBoard(SerialBoard):

@@ -23,7 +23,7 @@ class Reports:
         self.bearing = False
         self._edges: deque[Edge] = deque(maxlen=KEPT)
 
-    def hear(self, data: bytes, host_us: int) -> bool:
+    def receive(self, data: bytes, host_us: int) -> bool:
         """Decode bytes received at `host_us`; returns whether they completed a frame."""
         frames = self._decoder.feed(data)
         for frame in frames:

@@ -168,7 +168,7 @@ class SerialBoard:
         with self._changed:
             self._received += data
             del self._received[:-65536]  # not read: keep the newest
-            if self._reports.hear(data, monotonic_us()):
+            if self._reports.receive(data, monotonic_us()):
                 self._changed.notify_all()
 
     # The board

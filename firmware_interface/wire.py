@@ -165,7 +165,7 @@ class WiredBoard:
         driven = list(self.board.run_until(until_us))
         self._now_us = until_us
         for coded in self.board.read().split(b"\0")[:-1]:
-            self._reports.hear(coded + b"\0", until_us)
+            self._reports.receive(coded + b"\0", until_us)
             self._back.send(self._reports.board_us, coded + b"\0")
         reported = self._reports.take_edges()
         if reported != driven:

@@ -14,6 +14,7 @@ import os
 import socket
 import time
 from asyncio import CancelledError as FutureCancelled
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
@@ -182,6 +183,33 @@ def _fly_here(
             faulthandler.cancel_dump_traceback_later()
 
 
+def _results_of(future: Any) -> list[Any]:
+    """The results of a batch that ended.
+
+    Raises:
+        KilledWorker: its workers died.
+        EngineError: the cluster is gone, or a worker cannot fly.
+    """
+    from distributed.scheduler import KilledWorker
+
+    try:
+        results: list[Any] = future.result()
+    except (OSError, CancelledError, FutureCancelled) as error:
+        raise EngineError(
+            where="the cluster is gone", expected="workers until the end",
+            found=str(error) or type(error).__name__, hint="the same command resumes",
+        ) from None  # fmt: skip
+    except KilledWorker:
+        raise
+    except Exception as error:  # errors of a run are in its result, so the worker failed
+        raise EngineError(
+            where="a worker cannot fly", found=f"{type(error).__name__}: {error}",
+            expected=f"workers with the code of this machine, {code_digest()}",
+            hint="without that worker, the same command resumes",
+        ) from None  # fmt: skip
+    return results
+
+
 class WorkerPool(Generic[Task, Result]):
     """Flies tasks on all workers of a client.
 
@@ -207,62 +235,53 @@ class WorkerPool(Generic[Task, Result]):
         self._pace = 0.0  # mean computing time of a task [s]
 
     def results(self, tasks: Sequence[Task]) -> Iterator[Result]:
-        """Yield results in order of completion."""
+        """Yield results in order of completion.
+
+        Raises:
+            EngineError: the cluster is gone, or a worker cannot fly.
+        """
+        suspects: list[Task] = []  # one of them kills its worker; the others were queued beside it
+        yield from self._fly_all(tasks, suspects.extend)
+        for task in suspects:  # one at a time, with all workers idle
+            culprit: list[Task] = []
+            yield from self._fly_all([task], culprit.extend)
+            yield from map(self._lost, culprit)
+
+    def _fly_all(
+        self, tasks: Sequence[Task], killed: Callable[[list[Task]], object]
+    ) -> Iterator[Result]:
+        """Yield results in order of completion; `killed` gets batches whose workers died."""
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 
-        waiting = list(reversed(tasks))
+        waiting = deque(tasks)
         under_way: dict[Any, list[Task]] = {}
-        suspects: list[Task] = []  # their workers died more than once
-        alone = False  # only one suspect is under way
         done = as_completed()
-
-        def submit(batch: list[Task]) -> None:
-            words = self._fly, code_digest(), self._limit_s, batch
-            future = self._client.submit(_fly_here, *words, pure=False)
-            under_way[future] = batch
-            done.add(future)
 
         def fill() -> None:
             most = AHEAD * self._workers()
             while waiting and len(under_way) < most:
                 share = -(-len(waiting) // most)  # spreads the last tasks over all workers
                 size = max(1, min(self._batch(), share))
-                submit([waiting.pop() for _ in range(min(size, len(waiting)))])
+                batch = [waiting.popleft() for _ in range(min(size, len(waiting)))]
+                arguments = self._fly, code_digest(), self._limit_s, batch
+                future = self._client.submit(_fly_here, *arguments, pure=False)
+                under_way[future] = batch
+                done.add(future)
 
         fill()
         while under_way:
             future = next(done)
             batch = under_way.pop(future)
             try:
-                results = future.result()
-            except (OSError, CancelledError, FutureCancelled) as error:
-                raise EngineError(
-                    where="the cluster is gone", expected="workers until the end",
-                    found=str(error) or type(error).__name__, hint="the same command resumes",
-                ) from None  # fmt: skip
+                results = _results_of(future)
             except KilledWorker:
-                if not alone:  # the culprit is in this batch, or was queued beside it
-                    suspects += reversed(batch)
-                    fill()
-                    alone = not under_way
-                    if alone and suspects:
-                        submit([suspects.pop()])
-                    continue
-                results = [self._lost(batch[0])]
-            except Exception as error:  # errors of a run are in its result, so the worker failed
-                raise EngineError(
-                    where="a worker cannot fly", found=f"{type(error).__name__}: {error}",
-                    expected=f"workers with the code of this machine, {code_digest()}",
-                    hint="without that worker, the same command resumes",
-                ) from None  # fmt: skip
+                killed(batch)
+                results = []
             for result in results:
                 self._pace += 0.3 * (self._took(result) - self._pace)
                 yield result
             fill()
-            if not under_way and suspects:  # all others have flown: now the suspects one by one
-                alone = True
-                submit([suspects.pop()])
 
     def _workers(self) -> int:
         """Number of workers, asked every ASK_S because it is a round trip."""

@@ -31,7 +31,7 @@ def track_of(folder: Path, experiment: Experiment) -> Track:
     book = LogReader(folder / "log.mcap")
     log, names = Columns(book), list(experiment.vehicles)
     if not book.complete():
-        raise LogError("; ".join(book.said()) or "the log is incomplete")
+        raise LogError("; ".join(book.missing()) or "the log is incomplete")
     ticks = {name: log.rows[f"/{name}/tick"] for name in names if f"/{name}/tick" in log.rows}
     known = {name: one[one["outputs"]["state_known"] > 0] for name, one in ticks.items()}
     if len(known) < len(names):

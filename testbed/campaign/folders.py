@@ -120,8 +120,8 @@ class Pile:
                 run = read_run(folder, len(flown), scenario.most, scenario.least)
                 found = load(folder / "config.toml")
             except ConfigError as error:
-                said = f"{Path(error.where).name}: expected {error.expected}, found {error.found}"
-                self.pass_over(folder, said)
+                reason = f"{Path(error.where).name}: expected {error.expected}, found {error.found}"
+                self.pass_over(folder, reason)
                 continue
             metrics = msgspec.json.decode((folder / "metrics.json").read_bytes(), type=Metrics)
             reason, own = compare(wanted, found, metrics.rig, played)

@@ -90,10 +90,11 @@ def _head(campaign: Campaign, summary: Summary, apart: Groups) -> str:
         counts.append(_median(one.quantity, one.median, apart))
         counts.append((f"worst, in run {one.worst_run}", f"{number(one.worst)}{unit}"))
     tiles += [f'<div class="tile"><b>{b}</b><span>{escape(a)}</span></div>' for a, b in counts]
-    said = escape(campaign.file.description)
+    description = escape(campaign.file.description)
+    sentence = f"{description}. " if description else ""
     return (
         f"<h1>{escape(summary.campaign)}</h1>"
-        f'<p class="soft">{said}{". " if said else ""}{summary.runs} of {summary.planned} runs of '
+        f'<p class="soft">{sentence}{summary.runs} of {summary.planned} runs of '
         f"{escape(summary.experiment)} on the twin; results of the twin, not of a table.</p>"
         f'<div class="tiles">{"".join(tiles)}</div>{_key(apart)}'
     )

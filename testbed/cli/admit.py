@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say, show
+from testbed.cli.screen import print_text, show
 from testbed.cli.tracked import tracked
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.spelling import counted
@@ -116,7 +116,7 @@ def print_admission(admission: Admission, again: str = "testbed run --seed") -> 
         grid.add_row(one.name, one.words, str(one.seed), style=None if one.kept else "red")
     show(out, grid)
     for words in admission.faults:
-        say(out, f"  {words}", "red")
+        print_text(out, f"  {words}", "red")
     failed = [one for one in admission.findings if not one.kept]
     for seed in dict.fromkeys(one.seed for one in failed):
         out.print(f"  see it: {again} {seed}", markup=False, soft_wrap=True)

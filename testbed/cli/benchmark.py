@@ -29,7 +29,7 @@ from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
 from testbed.cli.exit_code import INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say, show
+from testbed.cli.screen import print_text, show
 from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
 from testbed.run.code_digest import code_digest
@@ -77,7 +77,7 @@ def run_benchmark(
             with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
                 table = fly_benchmark(path, file, folder, jobs, scheduler)
             if table is None:
-                say(
+                print_text(
                     errors,
                     f"interrupted: finished runs are kept in {folder}; the same command resumes",
                     "yellow",
@@ -181,7 +181,7 @@ def print_concerns(record: Record) -> None:
     lines += [f"not flown: {one}" for one in record.not_flown]
     lines += [f"differs from the benchmark: {one}" for one in record.own]
     for line in lines:
-        say(errors, line, "yellow")
+        print_text(errors, line, "yellow")
 
 
 def print_scores(table: list[Score]) -> None:

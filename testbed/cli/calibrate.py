@@ -14,7 +14,7 @@ from testbed.cli.base_table import table_of, tilted
 from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import refuse, warn
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.core.error import TestbedError
 from testbed.core.vehicle import Vehicle
 from testbed.identification.calibration_file import report_of, save
@@ -102,7 +102,7 @@ def motion(
         logs = read_logs(given)
         found = calibrate_motion(
             logs, load_vehicle(vehicle), others=vehicles_of(given.mapping), force=force,
-            progress=lambda text: None if as_json else say(steps, text, "dim"),
+            progress=lambda text: None if as_json else print_text(steps, text, "dim"),
         )  # fmt: skip
         if out is not None:
             save(out, found, vehicle, logs, today())
@@ -127,7 +127,7 @@ def motion(
     for name, row in result["parameters"].items():
         kept = "" if row["chosen"] else "  kept as in the file"
         note = "" if row["identifiable"] else "  not identifiable from this log"
-        say(
+        print_text(
             screen,
             f"{name:<10} {row['value']:>10.5g} {row['unit']:<9}"
             f" 95 %: {row['low']:.4g} to {row['high']:.4g}{kept}{note}",
@@ -137,13 +137,13 @@ def motion(
         kept = "  kept as in the file" if row["kept"] else ""
         if not (row["fitted"] or row["kept"] or row["identifiable"]):
             kept = "  the file's times the common thrust"
-        say(
+        print_text(
             screen,
             f"jet {row['jet']:<6} {row['thrust_n']:>10.4g} N         95 %: {row['low_n']:.4g} to"
             f" {row['high_n']:.4g}  {row['state']}{kept}{note}",
         )
     for line in result["findings"]:
-        say(screen, line, "bold")
+        print_text(screen, line, "bold")
     return OK
 
 
@@ -180,14 +180,14 @@ def check_against(
     for h, both in result["horizons"].items():
         for who, one in both.items():
             if one["count"]:
-                say(
+                print_text(
                     screen,
                     f"{h} s ahead, {vehicle if who == 'vehicle' else against}:"
                     f" {1e3 * one['position_rms_m']:.1f} mm RMS,"
                     f" {1e3 * one['position_median_m']:.1f} mm median,"
                     f" {one['heading_rms_deg']:.2f} deg RMS, {one['count']} predictions",
                 )
-    say(screen, result["verdict"])
+    print_text(screen, result["verdict"])
     return OK
 
 
@@ -223,7 +223,7 @@ def slope(
     if as_json:
         print_json(result)
         return OK
-    say(
+    print_text(
         screen,
         f"{len(grid[0])} x {len(grid)} nodes on {surface.size[0]:g} m x {surface.size[1]:g} m,"
         f" at most {1e3 * largest:.1f} mm/s^2",
@@ -245,7 +245,7 @@ def thrust(paths: Sequence[Path], columns: tuple[str, str, str], unit: str, as_j
         print_json({"jets": rows})
         return OK
     for row in rows:
-        say(
+        print_text(
             screen,
             f"{row['file']}: {row['thrust_n']:.4f} N (95 %: {row['low_n']:.4f} to"
             f" {row['high_n']:.4f}), {row['pulses']} pulses, spread {row['pulse_spread']:.2%},"
@@ -284,7 +284,7 @@ def mocap(
         print_json(result)
         return OK
     for name, value in result.items():
-        say(
+        print_text(
             screen, f"{name:<22} {value:.6g}" if isinstance(value, float) else f"{name:<22} {value}"
         )
     return OK
@@ -326,7 +326,7 @@ def excite(
     if as_json:
         print_json(result)
         return OK
-    say(
+    print_text(
         screen,
         f"{len(found.inputs.up)} pulses, {1e3 * found.gas:.1f} g of gas, at most"
         f" {found.reach:.2f} m from the start",

@@ -29,7 +29,7 @@ from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.progress import Bar
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say, show
+from testbed.cli.screen import print_text, show
 from testbed.config import ConfigError
 from testbed.config.shipped import shipped
 from testbed.config.tree import trouble_at
@@ -89,7 +89,7 @@ def say_interrupted(campaign: Campaign, folder: Path) -> None:
     """Print how many runs are finished."""
     with open_journal(campaign, folder) as journal:
         count = len(flown_before(campaign, journal.found))
-    say(
+    print_text(
         errors,
         f"interrupted: {count} of {campaign.count} runs are kept in {folder}; "
         "the same command resumes there",
@@ -136,7 +136,7 @@ def print_summary(
         out.print(f"  {count:5d}  {reason}", markup=False, style="red")
     faulty = [run for run in runs if run.outcome == "fault"]
     for words, run in zip(summary.faults[:SHOWN], faulty, strict=False):
-        say(out, f"  {words}", "red")
+        print_text(out, f"  {words}", "red")
         command = replay_command(campaign, folder, run.k)
         out.print(f"    {command}", markup=False, soft_wrap=True)
     if (more := summary.outcomes.get("fault", 0) - SHOWN) > 0:

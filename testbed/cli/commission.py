@@ -12,7 +12,7 @@ from rich.console import Console
 from testbed.cli.exit_code import FAILED, FAULT, OK
 from testbed.cli.poses import cameras
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.commission.procedure import Commissioned, commission
 from testbed.commission.report import lines_of, passed, write_report
 from testbed.commission.station import Station
@@ -45,7 +45,7 @@ def run_commission(
         except (NetworkError, TestbedError, OSError) as error:
             return refuse(error, FAULT)
         try:
-            done = commission(experiment, station, _nothing if as_json else _say, names)
+            done = commission(experiment, station, _nothing if as_json else _print_verdict, names)
         except TestbedError as error:  # a board or a line failed
             return refuse(error, FAULT)
         write_report(folder, experiment, done, rig)
@@ -113,9 +113,9 @@ def _nothing(_: Verdict) -> None:
     """Print nothing."""
 
 
-def _say(verdict: Verdict) -> None:
+def _print_verdict(verdict: Verdict) -> None:
     for line in lines_of([verdict]):
-        say(screen, line, "red" if verdict.code else None, len(line) - len(verdict.text))
+        print_text(screen, line, "red" if verdict.code else None, len(line) - len(verdict.text))
 
 
 def _end(done: Commissioned, names: Sequence[str], good: Sequence[str], folder: Path) -> None:
@@ -128,5 +128,5 @@ def _end(done: Commissioned, names: Sequence[str], good: Sequence[str], folder: 
             text = f"{one}: not commissioned; mend what is wrong at: {', '.join(wrong)}"
         else:
             text = f"{one}: nothing wrong, but left out: {', '.join(left)}"
-        say(screen, text)
-    say(screen, f"report: {folder / 'commission.txt'}")
+        print_text(screen, text)
+    print_text(screen, f"report: {folder / 'commission.txt'}")

@@ -119,8 +119,8 @@ def with_paper(charts: Sequence[Chart], printed: Printed) -> list[Chart]:
 
 
 def _marks(one: Points) -> list[Mark]:
-    said = f"{one.source}: {one.what}"
-    return [Mark(x, y, f"{said}, ({x:g}, {y:g})", case=DIAMOND, style="paper", radius=6)
+    text = f"{one.source}: {one.what}"
+    return [Mark(x, y, f"{text}, ({x:g}, {y:g})", case=DIAMOND, style="paper", radius=6)
             for x, y in zip(one.x, one.y, strict=True)]  # fmt: skip
 
 

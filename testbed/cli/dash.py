@@ -58,9 +58,9 @@ class Dashboard:
         else:
             self.viewer.kill()
             raise ViewerError(f"the viewer accepts no connections after {PATIENCE * PERIOD_S:g} s")
-        self._tell()
+        self._print_address()
 
-    def _tell(self) -> None:
+    def _print_address(self) -> None:
         self.feeder = subprocess.Popen(
             [sys.executable, "-m", "testbed.dashboard.feeder", str(self._run), self.address.data],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -81,7 +81,7 @@ class Dashboard:
             self.open(waited)
         elif self.feeder.poll() not in (None, OK, 1):  # 1: it has printed why it has no data
             self.restarts += 1
-            self._tell()
+            self._print_address()
         return True
 
     def close(self) -> None:

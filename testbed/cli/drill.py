@@ -11,7 +11,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say, show
+from testbed.cli.screen import print_text, show
 from testbed.cli.tracked import tracked
 from testbed.config import ConfigError, find, load
 from testbed.faults.drill import (
@@ -58,7 +58,7 @@ def run_drill(
 
 def report(line: str) -> None:
     """Print progress on standard error; standard output is for the result."""
-    say(errors, line)
+    print_text(errors, line)
 
 
 def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
@@ -99,11 +99,11 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
     )
     for one in cases:
         if one.rightly is False:
-            say(out, f"  {one.kind} was called {one.called}: {one.said}")
+            print_text(out, f"  {one.kind} was called {one.called}: {one.said}")
     for one in cases:
         if one.missed or one.late or one.contacts or one.early:
             text = msgspec.json.encode(replace(one, again="")).decode()
-            say(out, f"  {text}")
+            print_text(out, f"  {text}")
             if one.again:
                 out.print(f"    {one.again}", markup=False, soft_wrap=True)
 

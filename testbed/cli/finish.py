@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from testbed.cli.refusal import errors
 from testbed.cli.result import print_result
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.config import Experiment, read_toml
 from testbed.config.guarantee import warnings_of
 from testbed.core.codes import FaultId, FaultReport
@@ -52,7 +52,7 @@ def _of_what_is_there(log: Path, experiment: Experiment) -> Metrics:
     try:
         return of_the_log(log, experiment, gather(LogReader(log)))
     except LogError as error:
-        say(errors, f"warning: {error}", "yellow")
+        print_text(errors, f"warning: {error}", "yellow")
     return Metrics(
         experiment=experiment.name,
         rig="",

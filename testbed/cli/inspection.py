@@ -12,7 +12,7 @@ from rich.table import Table as Grid
 from controllers import catalogue
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say, show
+from testbed.cli.screen import print_text, show
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
 from testbed.config.capability import abilities
 from testbed.config.file import fault_texts, words_for
@@ -40,7 +40,7 @@ def check_experiment(
     law = type(experiment.controller).__struct_config__.tag
     out = Console(highlight=False)
     out.print(f"ok: {path}", markup=False, soft_wrap=True)
-    say(
+    print_text(
         out,
         f"  {counted(len(experiment.vehicles), 'vehicle')}, "
         f"{counted(len(experiment.obstacles), 'obstacle')}, "
@@ -50,7 +50,7 @@ def check_experiment(
     for name in experiment.vehicles:
         first, *rest = abilities(experiment, name)
         for line in (f"{name}: {first}", *rest):
-            say(out, f"  {line}")
+            print_text(out, f"  {line}")
     if defaults:
         print_defaults(experiment, out)
     if faults:
@@ -60,7 +60,7 @@ def check_experiment(
         *doubts_of(experiment),
     ]  # fmt: skip
     for warning in found:
-        say(errors, f"warning: {warning.name}: {warning.text}", "yellow")
+        print_text(errors, f"warning: {warning.name}: {warning.text}", "yellow")
     return OK
 
 
@@ -75,7 +75,7 @@ def print_faults(
         how = f" = {worked_out(text, words)}" if text else ""
         holds = [f"{row.misses} times in a row"] * (row.misses > 1)
         holds += [f"for {row.timeout_s:g} s"] * (row.timeout_s > 0.0)
-        say(
+        print_text(
             out,
             f"  {name}: {row.detector} {bound} {getattr(row, bound):.4g}"
             f"{''.join(f', {one}' for one in holds)}: {row.response}"
@@ -83,7 +83,7 @@ def print_faults(
         )
     names = sorted({one for text in texts.values() for one in words_in(text)})
     for one in names:
-        say(out, f"  {one}: {WORDS[one]}")
+        print_text(out, f"  {one}: {WORDS[one]}")
 
 
 def print_defaults(given: Experiment, out: Console) -> None:
@@ -93,7 +93,7 @@ def print_defaults(given: Experiment, out: Console) -> None:
         for part in key:
             own = getattr(own, str(part))
         differs = "" if own == value else f"; the file has {own:.4g}"
-        say(out, f"  {spell(key)} {value:.4g}: {how}{differs}")
+        print_text(out, f"  {spell(key)} {value:.4g}: {how}{differs}")
 
 
 def _first_comment(path: Path) -> str:

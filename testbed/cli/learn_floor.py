@@ -8,7 +8,7 @@ from testbed.cli.calibrate import print_json, read_logs, refused, screen, today,
 from testbed.cli.exit_code import OK
 from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import warn
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.core.error import TestbedError
 from testbed.identification.calibration_file import save_with_map
 from testbed.identification.floor import flat_fit, learn_floor
@@ -59,7 +59,7 @@ def floor(
         return OK
     warn([note for log in logs for note in log.notes])
     warn([f"{one.name}: {one.text}" for one in doubts])
-    say(
+    print_text(
         screen,
         f"slope map of {nodes} x {nodes} nodes; {100 * result['known_share']:.0f} % of them are"
         f" told by the logs, at most {1e3 * result['largest_m_s2']:.1f} mm/s^2 there",

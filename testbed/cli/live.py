@@ -43,7 +43,7 @@ class LiveTable(FlightScreen):
     ) -> None:
         self._console, self._line_s = console, None if console.is_terminal else line_s
         self._end = Event()
-        self._teller = Thread(target=self._tell, name="lines", daemon=True)
+        self._printer = Thread(target=self._print_lines, name="lines", daemon=True)
         self._experiment, self._goal_error = experiment, GoalError(experiment)
         self._ticks: dict[str, AnyTick] = {}
         self._t = 0.0
@@ -64,27 +64,27 @@ class LiveTable(FlightScreen):
     def showing(self) -> Iterator[None]:
         """See `FlightScreen`."""
         if self._line_s is not None:
-            self._teller.start()
+            self._printer.start()
         try:
             with nullcontext() if self._live is None else self._live:
                 yield
         finally:
             self._end.set()
             if self._line_s is not None:
-                self._teller.join()
+                self._printer.join()
 
-    def say(self, line: str) -> None:
+    def warn(self, line: str) -> None:
         """See `FlightScreen`."""
         self._console.print(line, style="yellow", markup=False, soft_wrap=True)
 
-    def _tell(self) -> None:
+    def _print_lines(self) -> None:
         assert self._line_s is not None
-        told, silent_s = "", 0.0
+        printed, silent_s = "", 0.0
         while not self._end.wait(self._line_s):
             silent_s += self._line_s
-            if (line := self.line()) != told or silent_s >= LINE_S:
+            if (line := self.line()) != printed or silent_s >= LINE_S:
                 self._console.print(line, markup=False, highlight=False, soft_wrap=True)
-                told, silent_s = line, 0.0
+                printed, silent_s = line, 0.0
 
     def line(self) -> str:
         """The status line: time, phase, errors, and vehicles that do not fly, culprits first."""
@@ -96,9 +96,9 @@ class LiveTable(FlightScreen):
         own, following = list[str](), list[str]()
         for name, tick in self._newest():
             fault = tick.outputs.fault
-            if said := fault or tick.outputs.inhibit_reason:
+            if reason := fault or tick.outputs.inhibit_reason:
                 follows = fault is not None and fault.cause is not None
-                (following if follows else own).append(f"{name}: {said.words}")
+                (following if follows else own).append(f"{name}: {reason.words}")
         return f"{self._experiment.name}: {', '.join(parts + own + following)}"
 
     def _newest(self) -> list[tuple[str, AnyTick]]:

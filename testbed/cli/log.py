@@ -24,9 +24,9 @@ def show_log(run: Path, as_json: bool) -> int:
         topics = survey(book.read(), book.kinds)
     except LogError as error:
         return refuse(error)
-    said = lacks(book)
-    warn(said)
-    contents = Contents(book.finished, topics, said)
+    missing = lacks(book)
+    warn(missing)
+    contents = Contents(book.finished, topics, missing)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(contents)).decode() + "\n")
         return OK

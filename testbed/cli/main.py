@@ -129,24 +129,14 @@ def run(
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
     name, pid = Path(experiment).stem, process_to_end()
-    with noted("", "", name=name, pid=pid, say=lambda text: None, rig=rig):
-        from testbed.cli.run import run_experiment  # slow, and `testbed stop` must find the run
+    with noted("", "", name=name, pid=pid, warn=lambda text: None, rig=rig):
+        # slow imports, and `testbed stop` must find the run
+        from testbed.cli.run import RunOptions, run_experiment
 
-        code = run_experiment(
-            experiment,
-            overrides,
-            out,
-            as_json,
-            rig,
-            view,
-            speed,
-            arm=arm,
-            reset=reset,
-            here=here,
-            bind=bind,
-            port=port,
-            console=console,
+        options = RunOptions(
+            rig, out, as_json, view, console, bind, port, speed, arm=arm, reset=reset, here=here
         )
+        code = run_experiment(experiment, overrides, options)
     context.exit(code)
 
 

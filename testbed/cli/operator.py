@@ -8,7 +8,7 @@ import click
 
 from testbed.cli.live import LiveTable
 from testbed.cli.refusal import errors
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.config import ConfigError, Experiment
 from testbed.core.codes import FaultReport
 from testbed.rig.fault_latch import FaultLatch
@@ -59,7 +59,7 @@ class Operator:
         fault = latch.fault
         if fault is None or self._reset:
             return latch, fault
-        say(errors, f"latched: {fault.words}", "red")
+        print_text(errors, f"latched: {fault.words}", "red")
         if rig != "table":
             errors.print("on the table a reset needs --reset", style="yellow")
             return latch, fault

@@ -16,7 +16,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.error import TestbedError
 from testbed.core.lab import MocapWire
@@ -145,7 +145,7 @@ def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> i
         return refuse(TestbedError(where=sender, expected=expected, found=found), FAILED)
     out.print(room.picture(looked))  # as of the last poll
     for vehicle, body in room.missing().items():
-        say(
+        print_text(
             errors,
             f"{vehicle}: the cameras do not track {body!r}; [lab.mocap] bodies maps its name",
             "red",

@@ -95,7 +95,7 @@ class ProcessSupervisor:
         """Wait until the child has ended and the run is finished; returns the exit code."""
         fault = ""
         while self._ended is None:
-            self._hear()
+            self._take_signals()
             if self._ended is None and (why := self._stuck()):
                 fault = why
                 self._end_child()
@@ -120,7 +120,7 @@ class ProcessSupervisor:
 
     # Looking
 
-    def _hear(self) -> None:
+    def _take_signals(self) -> None:
         """Wait for a signal, at most LOOK_S; reap, and forward what the child did not get."""
         if self._to_hand_on is not None:
             number, noted = self._to_hand_on
@@ -221,7 +221,7 @@ class ProcessSupervisor:
             return INTERRUPTED
         if heartbeat.phase is RunPhase.READING and heartbeat.inside is not None:
             where, expected = "the file of the law", "a readable law"
-            say(f"error: {TestbedError(where=where, expected=expected, found=fault)}")
+            print_error(f"error: {TestbedError(where=where, expected=expected, found=fault)}")
             return BAD_INPUT
         if not heartbeat.folder:  # the child has printed its error, or the operator stopped it
             return INTERRUPTED if code in (-n for n in STOPS) else code if code > 0 else FAULT
@@ -231,9 +231,9 @@ class ProcessSupervisor:
         if self._asked and (heartbeat.inside is None or heartbeat.phase is RunPhase.COMPILING):
             fault = ""
         if self._hung:
-            say("warning: the run's process did not obey the stop, and was killed")
+            print_error("warning: the run's process did not obey the stop, and was killed")
         if not Path(heartbeat.folder, "config.toml").exists():
-            say(f"aborted by a fault: {fault}; the run folder is gone: {heartbeat.folder}")
+            print_error(f"aborted by a fault: {fault}; the run folder is gone: {heartbeat.folder}")
             return FAULT
         self._judge(fault)
         self._wait([pid for pid in children() if not shows(words_of(pid))], LAST_S)
@@ -254,7 +254,7 @@ class ProcessSupervisor:
             sys.stdout.flush()
             os._exit(0)
         if self._wait([finisher], FINISH_S):
-            say(f"warning: the run folder is incomplete: {self._heartbeat.folder}")
+            print_error(f"warning: the run folder is incomplete: {self._heartbeat.folder}")
 
     def _wait(self, pids: list[int], limit_s: float) -> bool:
         """Wait for processes to end and kill the rest; returns whether any was killed."""
@@ -271,7 +271,7 @@ class ProcessSupervisor:
 # Processes
 
 
-def say(text: str) -> None:
+def print_error(text: str) -> None:
     """Print on stderr; its terminal may be closed."""
     with suppress(OSError):
         sys.stderr.write(text + "\n")

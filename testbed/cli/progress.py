@@ -45,17 +45,17 @@ class Bar(CampaignObserver):
         self._count_workers: Callable[[], int] | None = None
         self._every_s = LOOK_S if errors.is_terminal else line_s
         self._end = Event()
-        self._teller = Thread(target=self._tell, daemon=True)
+        self._printer = Thread(target=self._print_lines, daemon=True)
 
     def __enter__(self) -> "Bar":
         self._progress.start()
         self._bar = self._progress.add_task(f"{self._name} {self._words}", total=None)
-        self._teller.start()
+        self._printer.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._end.set()
-        self._teller.join(1.0)  # a lost cluster may block the thread
+        self._printer.join(1.0)  # a lost cluster may block the thread
         self._progress.stop()
 
     def begun(self, total: int, runs: Sequence[FlownRun]) -> None:
@@ -67,7 +67,7 @@ class Bar(CampaignObserver):
     def flying(self, count_workers: Callable[[], int]) -> None:
         """See `CampaignObserver`."""
         self._count_workers = count_workers
-        self._say("flying")
+        self._print("flying")
 
     def flown(self, run: FlownRun) -> None:
         """See `CampaignObserver`."""
@@ -77,17 +77,17 @@ class Bar(CampaignObserver):
             self._began = time.monotonic()
         self._passed += run.outcome == "passed"
         self._progress.update(self._bar, completed=self._over)
-        self._say(f"passed {100.0 * self._passed / self._over:.1f} %")
+        self._print(f"passed {100.0 * self._passed / self._over:.1f} %")
 
     def keeping(self, count: int) -> None:
         """See `CampaignObserver`."""
-        self._say(f"logs of {count} failures")
+        self._print(f"logs of {count} failures")
 
-    def _say(self, words: str) -> None:
+    def _print(self, words: str) -> None:
         self._words = words
         self._progress.update(self._bar, description=f"{self._name} {words}")
 
-    def _tell(self) -> None:
+    def _print_lines(self) -> None:
         """Thread that prints progress, because the main thread waits for the workers."""
         while not self._end.wait(self._every_s):
             no_workers = self._has_no_workers()

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from rich.console import Console
 
 from testbed.cli.exit_code import BAD_INPUT, OUR_FAULT
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.core.error import TestbedError
 
 LABEL = 12  # characters of "  expected  "
@@ -28,7 +28,7 @@ def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
 def warn(lines: Iterable[str]) -> None:
     """Print warnings on stderr, one line each."""
     for line in lines:
-        say(errors, f"warning: {line}", "yellow")
+        print_text(errors, f"warning: {line}", "yellow")
 
 
 def print_internal_error() -> int:

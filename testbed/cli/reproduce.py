@@ -14,7 +14,7 @@ from rich.text import Text
 
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say, show
+from testbed.cli.screen import print_text, show
 from testbed.config import ConfigError
 from testbed.report.chart import alone
 from testbed.reproduction.audit import RunError, TaskResult, made, rows_of, tasks_of
@@ -162,16 +162,16 @@ def say_how_it_went(
     """Print the counts and each unexpected verdict on standard error."""
     every = [row for some in rows.values() for row in some]
     seeds = ", quick: fewer seeds, coarser steps" if any(row.quick for row in every) else ""
-    say(errors, f"{counts(every)} (in {wall:.0f} s{seeds})")
+    print_text(errors, f"{counts(every)} (in {wall:.0f} s{seeds})")
     for row in surprises:
-        say(
+        print_text(
             errors,
             f'changed: {row.id}: expected "{row.expected}", found "{row.outcome}" '
             f"({measured(row)}, claimed {claimed(row)})",
             "red",
         )
     if missing:
-        say(
+        print_text(
             errors,
             f"interrupted: {len(missing)} claims were not reached: {', '.join(missing)}",
             "yellow",

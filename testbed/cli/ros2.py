@@ -8,7 +8,7 @@ from time import monotonic
 
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.core.error import TestbedError
 from testbed.core.lab import Network
 from testbed.logs.log_reader import LogReader, log_of
@@ -35,8 +35,8 @@ def publish_run(run: Path, endpoint: str, domain: int, speed: float) -> int:
         return refuse(error)
     except KeyboardInterrupt:
         return OK
-    for line in log.said():
-        say(errors, f"warning: {line}", "yellow")
+    for line in log.missing():
+        print_text(errors, f"warning: {line}", "yellow")
     errors.print(f"{number} messages published", markup=False)
     return OK
 

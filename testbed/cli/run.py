@@ -7,6 +7,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from controllers.law_file import LawError, UnusableLawError
@@ -14,11 +15,12 @@ from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
 from testbed.cli.refusal import errors, refuse, warn
 from testbed.cli.result import code_of, print_result
-from testbed.cli.screen import say
+from testbed.cli.screen import print_text
 from testbed.cli.viewers import Viewers
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
+from testbed.metrics.run_metrics import Metrics
 from testbed.net.flight_note import noted, own_note, request_socket
 from testbed.net.operator_requests import RequestServer
 from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
@@ -44,56 +46,41 @@ from testbed.run.report import write_page
 LINE_S = 10.0  # interval of status lines without a terminal [s]
 
 
-def run_experiment(
-    name: str,
-    overrides: Sequence[str],
-    out: Path | None,
-    as_json: bool,
-    rig: str = "twin",
-    view: str | None = None,
-    speed: float | None = None,
-    *,
-    arm: bool = False,
-    reset: bool = False,
-    here: bool = False,
-    bind: str | None = None,
-    port: int | None = None,
-    console: int | None = None,
-) -> int:
+class RunOptions(Struct, frozen=True):
+    """The command line of `testbed run`, beside the experiment and its overrides."""
+
+    rig: str = "twin"
+    out: Path | None = None  # run folder; None: a new one in runs/
+    as_json: bool = False
+    view: str | None = None  # dashboard: "window" or "web"
+    console: int | None = None  # port of the operator's page; 0: its default
+    bind: str | None = None  # network address of what is served
+    port: int | None = None  # data port of the dashboard
+    speed: float | None = None  # multiple of real time; None: as fast as possible
+    arm: bool = False  # without asking
+    reset: bool = False  # the latched fault
+    here: bool = False  # with loopback addresses instead of the lab's
+
+    @property
+    def pace(self) -> float | None:
+        """The multiple of real time, which is 1 for a viewer."""
+        watched_live = self.view is not None or self.console is not None
+        return 1.0 if watched_live and self.speed is None else self.speed
+
+
+def run_experiment(name: str, overrides: Sequence[str], options: RunOptions) -> int:
     """Fly an experiment; return the exit code."""
     interrupt, viewers, folder = Interrupt(), None, None
-    operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
-    if (view is not None or console is not None) and speed is None:
-        speed = 1.0  # real time, for the viewer
+    operator = Operator(arm=options.arm, reset=options.reset, at_once=interrupt.at_once)
     try:
-        with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
-            experiment = load(find(name), overrides)
-        if here:
-            experiment = on_this_machine(experiment, rig)
-        models = {vehicle: setup.model for vehicle, setup in experiment.vehicles.items()}
-        check_boards(experiment.board, models, rig)
-        operator.must_be_there(rig)
-        viewers = Viewers(view, console, bind, port)
-        with interrupt.caught(), watched(experiment), ExitStack() as stack, ExitStack() as note:
-            folder = new_folder(out, experiment.name)
-            note.enter_context(noted_here(rig, experiment, folder))
-            write_config(folder, dump(experiment), version("airbearing-testbed"))
-            own = heartbeat()
-            own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
-            viewers.start(experiment, folder)
-            live = None if console is None else stack.enter_context(opened(experiment, folder))
-            make = maker(rig, experiment, folder, operator, live)
-            # without a terminal, a flight in real time prints status lines
-            line_s = None if rig == "twin" and speed is None else LINE_S
-            operator.live = LiveTable(experiment, errors, line_s)
-            with redirect_stdout(sys.stderr):
-                metrics = fly_and_judge(
-                    experiment, folder, interrupt, make, speed, operator.live, utc_ns()
-                )
-            note.close()
-            experiment = live.experiment if live is not None else experiment
+        experiment = _experiment(name, overrides, options)
+        operator.must_be_there(options.rig)
+        viewers = Viewers(options.view, options.console, options.bind, options.port)
+        with interrupt.caught(), watched(experiment):
+            folder = new_folder(options.out, experiment.name)
+            metrics, experiment = _flown(experiment, folder, options, interrupt, operator, viewers)
             write_metrics(folder, metrics)
-            if as_json:
+            if options.as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
             else:
                 print_result(metrics, experiment, folder)
@@ -108,8 +95,42 @@ def run_experiment(
         return refuse(error)
     viewers.finish()
     for check in metrics.red:
-        say(errors, f"red: {check.words}", "red")
+        print_text(errors, f"red: {check.words}", "red")
     return code_of(metrics)
+
+
+def _experiment(name: str, overrides: Sequence[str], options: RunOptions) -> Experiment:
+    with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
+        experiment = load(find(name), overrides)
+    if options.here:
+        experiment = on_this_machine(experiment, options.rig)
+    models = {vehicle: setup.model for vehicle, setup in experiment.vehicles.items()}
+    check_boards(experiment.board, models, options.rig)
+    return experiment
+
+
+def _flown(
+    experiment: Experiment, folder: Path, options: RunOptions,
+    interrupt: Interrupt, operator: Operator, viewers: Viewers,
+) -> tuple[Metrics, Experiment]:  # fmt: skip
+    """Fly; the metrics, and the experiment with the changes that its page made."""
+    rig, pace = options.rig, options.pace
+    with ExitStack() as stack, noted_here(rig, experiment, folder):
+        write_config(folder, dump(experiment), version("airbearing-testbed"))
+        own = heartbeat()
+        own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
+        viewers.start(experiment, folder)
+        has_page = options.console is not None
+        live = stack.enter_context(opened(experiment, folder)) if has_page else None
+        make = maker(rig, experiment, folder, operator, live)
+        # without a terminal, a flight in real time prints status lines
+        line_s = None if rig == "twin" and pace is None else LINE_S
+        operator.live = LiveTable(experiment, errors, line_s)
+        with redirect_stdout(sys.stderr):
+            metrics = fly_and_judge(
+                experiment, folder, interrupt, make, pace, operator.live, utc_ns()
+            )
+        return metrics, experiment if live is None else live.experiment
 
 
 def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
@@ -127,13 +148,13 @@ def noted_here(rig: str, experiment: Experiment, folder: Path) -> AbstractContex
     That one also warns if there is no place for it.
     """
 
-    def say(text: str) -> None:
+    def warn_on_twin(text: str) -> None:
         if rig == "twin":
             errors.print(text, style="yellow", markup=False, soft_wrap=True)
 
     return noted(
         "", "", vehicles=list(experiment.vehicles), name=experiment.name, pid=process_to_end(),
-        say=say, folder=folder, rig=rig,
+        warn=warn_on_twin, folder=folder, rig=rig,
     )  # fmt: skip
 
 
@@ -175,6 +196,6 @@ def maker(
     return lambda experiment: WireRig(
         experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched, live=live,
         agree=operator.agree if rig == "table" else lambda names: True,
-        say=lambda text: errors.print(text, markup=False, soft_wrap=True),
+        notify=lambda text: errors.print(text, markup=False, soft_wrap=True),
         checked=partial(write_checks, folder),
     )  # fmt: skip

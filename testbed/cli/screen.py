@@ -36,7 +36,7 @@ def show(out: Console, grid: Grid, *, keeps_last: bool = False) -> None:
         out.print(_part(grid, [first, *some, *last], is_first=k == 0))
 
 
-def say(out: Console, text: str, style: str | None = None, hang: int = 2) -> None:
+def print_text(out: Console, text: str, style: str | None = None, hang: int = 2) -> None:
     """Print a sentence; on a terminal it folds between words, `hang` further in than it begins."""
     if out.is_terminal:
         begins = " " * (len(text) - len(text.lstrip()))

@@ -17,9 +17,9 @@ def tracked(items: Iterable[Item], words: str, total: int) -> Iterator[Item]:
     if errors.is_terminal:
         yield from track(items, words, total, console=errors, transient=True)
         return
-    told = time.monotonic()
+    printed = time.monotonic()
     for done, item in enumerate(items, 1):
         yield item
-        if time.monotonic() - told >= LINE_S:
-            told = time.monotonic()
+        if time.monotonic() - printed >= LINE_S:
+            printed = time.monotonic()
             errors.print(f"{words}: {done} of {total}", markup=False, soft_wrap=True)

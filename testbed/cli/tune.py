@@ -34,7 +34,7 @@ from testbed.campaign.tuning import (
 from testbed.cli.campaign import TROUBLE, find_campaign
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import say, show
+from testbed.cli.screen import print_text, show
 from testbed.config import dump, load
 from testbed.files import write_atomic
 from testbed.run.code_digest import code_digest, digest_of
@@ -69,7 +69,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
         with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
             result = fly_tuning(tuning, folder, jobs, scheduler)
         if result is None:
-            say(
+            print_text(
                 errors,
                 f"interrupted: finished trials are kept in {folder}; the same command resumes",
                 "yellow",
@@ -189,7 +189,7 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
             " increase `samples`"
         )
         for words in result.best_proof_reasons:
-            say(out, f"  {words}", "red")
+            print_text(out, f"  {words}", "red")
         tuned = shlex.quote(str(folder / "tuned.toml"))
         out.print(f"  see one: testbed run {tuned} --seed SEED", markup=False, soft_wrap=True)
     out.print(f"tuned experiment: {folder / 'tuned.toml'}", markup=False, soft_wrap=True)

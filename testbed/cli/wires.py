@@ -23,7 +23,7 @@ def serve_twin(name: str, overrides: Sequence[str], ports: Path | None, *, here:
     except ConfigError as error:
         return refuse(error)
     try:
-        twin_process.serve(experiment, ports, None, over=lambda: False, say=errors.print)
+        twin_process.serve(experiment, ports, None, over=lambda: False, notify=errors.print)
     except twin_process.FAILURES as error:
         return refuse(error, FAULT)
     except KeyboardInterrupt:
@@ -35,11 +35,11 @@ def fly_agent(agent: AgentOptions) -> int:
     """Run the agent of one vehicle; returns the exit code."""
     end_on_terminate()
 
-    def say(text: str) -> None:
+    def notify(text: str) -> None:
         errors.print(f"{agent.name}: {text}", markup=False, soft_wrap=True)
 
     try:
-        agent_process.fly(agent, say, child=False)
+        agent_process.fly(agent, notify, child=False)
     except CredentialsError as error:
         return refuse(error)
     except agent_process.FAILURES as error:

@@ -74,14 +74,14 @@ def carried(name: str, marks: Sequence[Mark], seen: Mapping[str, Sequence[Array]
     places = {body: np.array([_middle(rows) for rows in all_]) for body, all_ in seen.items()}
     moved = {body: float(np.ptp(at[:, :2], axis=0).max()) for body, at in places.items()}
     way = float(np.hypot(marks[1][0] - marks[0][0], marks[1][1] - marks[0][1]))
-    at, told = places[name], np.array(marks)
+    at, set_down = places[name], np.array(marks)
     others = [body for body, far in moved.items() if body != name and far > 0.3 * way]
     if not moved[name] > 0.3 * way and others:
         text = f"carried, but the cameras moved {others[0]}: bodies exchanged, or a wrong body"
         return Verdict(step, name, text, "bodies_swapped")
     if not moved[name] > 0.0003 * way:
         return Verdict(step, name, "carried, but the cameras show no motion", "wrong_body")
-    ways = told[1:3, :2] - told[0, :2]
+    ways = set_down[1:3, :2] - set_down[0, :2]
     steps = at[1:3, :2] - at[0, :2]
     scale = float(np.sqrt(np.sum(steps**2) / np.sum(ways**2)))
     numbers = {"scale": scale}
@@ -102,14 +102,14 @@ def carried(name: str, marks: Sequence[Mark], seen: Mapping[str, Sequence[Array]
     if frame:
         code = "frame_mirrored" if "mirrored" in frame else "frame_turned"
         return Verdict(step, name, f"the cameras' frame is {frame}", code, numbers)
-    return _of_heading(name, told, at, numbers)
+    return _of_heading(name, set_down, at, numbers)
 
 
-def _of_heading(name: str, told: Array, at: Array, numbers: dict[str, float]) -> Verdict:
+def _of_heading(name: str, set_down: Array, at: Array, numbers: dict[str, float]) -> Verdict:
     step = "frame"
     turn = np.degrees(wrap(at[3, 2] - at[0, 2]))
     off = np.degrees(
-        np.angle(np.mean(np.exp(1j * (at[:, 2] - told[:, 2]))))
+        np.angle(np.mean(np.exp(1j * (at[:, 2] - set_down[:, 2]))))
     )  # of the body's forward axis
     numbers = {**numbers, "turn_deg": float(turn), "heading_off_deg": float(off)}
     if abs(turn + 90.0) < 2.0 * STRAIGHT:
@@ -121,11 +121,11 @@ def _of_heading(name: str, told: Array, at: Array, numbers: dict[str, float]) ->
     if abs(off) > STRAIGHT:
         text = f"the body's forward axis is {off:.0f} deg off: register it along the vehicle's x"
         return Verdict(step, name, text, "body_turned", numbers)
-    swing = at[3, :2] - at[0, :2] - (told[3, :2] - told[0, :2])
+    swing = at[3, :2] - at[0, :2] - (set_down[3, :2] - set_down[0, :2])
     # a quarter turn about a pivot at r from the middle moves it by (R - 1) r
     from_middle = np.linalg.solve([[-1.0, -1.0], [1.0, -1.0]], swing)
     pivot = float(np.hypot(*from_middle))
-    origin = np.mean(at[:3, :2] - told[:3, :2], axis=0) - from_middle
+    origin = np.mean(at[:3, :2] - set_down[:3, :2], axis=0) - from_middle
     numbers |= {"origin_x_m": float(origin[0]), "origin_y_m": float(origin[1]), "pivot_m": pivot}
     if pivot > NEAR / 2.0:
         text = f"turned on the spot, it moves: its pivot is {100 * pivot:.0f} cm from the middle"

@@ -168,14 +168,14 @@ def _of_each(
     right: Sequence[int], wrong: Sequence[int],
 ) -> list[Verdict]:  # fmt: skip
     """Verdicts on jets one by one: exchanged wires, or an entry of the file."""
-    verdicts, told = list[Verdict](), set[int]()
+    verdicts, named = list[Verdict](), set[int]()
     like = {j: {k for k in range(len(own)) if k != j and fits[j, k] < LIKE} for j in wrong}
     for j in wrong:
-        if j in told:
+        if j in named:
             continue
         partner = next((k for k in wrong if k in like[j] and j in like[k]), None)
         if partner is not None:
-            told |= {j, partner}
+            named |= {j, partner}
             text = f"jets {j + 1} and {partner + 1} push as each other: their wires are exchanged"
             verdicts.append(Verdict(STEP, name, text, "wires_swapped"))
             continue
@@ -212,41 +212,41 @@ def _strengths(
     numbers |= {"aside_deg": aside}
     numbers |= {f"jet{j + 1}_share": float(share[j]) for j in live}
 
-    def say(code: str, text: str) -> None:
+    def add(code: str, text: str) -> None:
         verdicts.append(Verdict(STEP, name, text, code, numbers))
 
     for j in live:
         limit = WEAK + 3.0 * spread.thrust + 3.0 * float(found.sigma[j])
         if abs(share[j] / common - 1.0) > limit:
             word = "weak" if share[j] < common else "strong"
-            say(f"jet_{word}", f"jet {j + 1} gives {share[j] / common:.0%} of what the others give")
+            add(f"jet_{word}", f"jet {j + 1} gives {share[j] / common:.0%} of what the others give")
     slack = 3.0 * np.sqrt(spread.thrust**2 / len(live) + spread.mass**2 + lab.thrust**2)
     if abs(common - 1.0) > COMMON + slack:
         text = f"all jets give {common:.0%} of the file's push: mass, pressure, or a wrong file"
-        say("all_weak" if common < 1.0 else "all_strong", text)
+        add("all_weak" if common < 1.0 else "all_strong", text)
     slack = 3.0 * np.sqrt(spread.thrust**2 / len(live) + spread.inertia**2 + spread.mass**2)
     if abs(turning / common - 1.0) > 2.0 * COMMON + slack:
         text = f"they turn it by {turning / common:.0%} of the file's: inertia, arms, a wrong file"
-        say("inertia", text)
+        add("inertia", text)
     unsure = np.degrees(float(np.median(found.sigma[live]))) / common
     limit = ASIDE + (3.0 * spread.direction_deg + SURE * unsure) / np.sqrt(len(live))
     if abs(aside) > limit:
         text = f"all jets push {aside:+.0f} deg aside of the file's: the body in motion capture is"
-        say("body_aside", f"{text} turned against the vehicle's x, or `push` in the file is")
+        add("body_aside", f"{text} turned against the vehicle's x, or `push` in the file is")
     early = 3.0 * lab.clock_s + LATE_S
     unsure = float(np.median(found.delay_sigma[live]))
     if abs(late) > early + SURE * unsure / np.sqrt(len(live)):
         text = f"all jets push {1e3 * late:+.0f} ms later than the file's: valves, line, or clocks"
-        say("late", text)
+        add("late", text)
     for j in live:
         apart = float(found.delay[j] - late)
         limit = LATE_S + 3.5 * lab.delay_s + SURE * float(found.delay_sigma[j])
         if abs(apart) > limit:
-            say("jet_late", f"jet {j + 1} pushes {1e3 * apart:+.0f} ms later than the others")
+            add("jet_late", f"jet {j + 1} pushes {1e3 * apart:+.0f} ms later than the others")
     if drag > DRAG + SURE / np.sqrt(max(weights.sum(), 1e-9)):
         known = vehicle.drag / vehicle.mass
         text = f"it slows down by {known + drag:.2f} 1/s, by the file {known:.2f} 1/s: a pad?"
-        say("drag", text)
+        add("drag", text)
     if not verdicts:
         text = f"each jet is its own; thrust {common:.0%} of the file's, delay {1e3 * late:+.0f} ms"
         verdicts.append(Verdict(STEP, name, text, numbers=numbers))

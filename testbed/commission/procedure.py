@@ -76,15 +76,15 @@ class Procedure:
     Args:
         experiment: as the lab believes it.
         station: the rig.
-        tell: called with every verdict.
+        report: called with every verdict.
         slope: of the table file at a place [m/s^2].
     """
 
     def __init__(
-        self, experiment: Experiment, station: Station, tell: Callable[[Verdict], Any],
+        self, experiment: Experiment, station: Station, report: Callable[[Verdict], Any],
         slope: Callable[[float, float], Array],
     ) -> None:  # fmt: skip
-        self._experiment, self._station, self._tell = experiment, station, tell
+        self._experiment, self._station, self._report_to = experiment, station, report
         self._slope = slope
         self._rows: dict[str, list[tuple[float, ...]]] = {}
         self._noise: dict[str, Noise] = {}
@@ -126,9 +126,9 @@ class Procedure:
                     self._station.bearing(name, on=False)
         return self.verdicts
 
-    def _say(self, verdict: Verdict) -> None:
+    def _report(self, verdict: Verdict) -> None:
         self.verdicts.append(verdict)
-        self._tell(verdict)
+        self._report_to(verdict)
 
     def _marks(self, name: str) -> list[Mark]:
         if name not in self._places:
@@ -136,7 +136,7 @@ class Procedure:
         return self._places[name]
 
     def _skip(self, step: str, name: str, why: str) -> None:
-        self._say(Verdict(step, name, why, skipped=True))
+        self._report(Verdict(step, name, why, skipped=True))
 
     def _failed(self, name: str, *codes: str) -> bool:
         return any(v.vehicle == name and v.code in codes for v in self.verdicts)
@@ -148,7 +148,7 @@ class Procedure:
         code = ""
         if facts.trouble:
             code = "wrong_firmware" if "limits" in facts.trouble else "no_board"
-        self._say(Verdict("board", name, facts.trouble or facts.text, code))
+        self._report(Verdict("board", name, facts.trouble or facts.text, code))
 
     def _pressure(self, name: str) -> None:
         vehicle, health = self._experiment.vehicles[name].model, self._station.health(name)
@@ -162,14 +162,14 @@ class Procedure:
                 code, text = "pressure_low", f"{text}: is the air open, the tank full?"
             elif share > HIGH:
                 code, text = "pressure_high", f"{text}: turn the regulator down"
-            self._say(Verdict("pressure", name, text, code, {"share": share}))
+            self._report(Verdict("pressure", name, text, code, {"share": share}))
         if gauges.battery and health.battery < arming.battery:
             text = f"{health.battery:.1f} V: charge the battery"
-            self._say(Verdict("battery", name, text, "battery", {"volts": health.battery}))
+            self._report(Verdict("battery", name, text, "battery", {"volts": health.battery}))
 
     def _standing(self, name: str) -> None:
         rows = self._watch(STANDS_S, guard=False).get(name, np.zeros((0, 4)))
-        self._say(cameras.standing(name, rows, STANDS_S, self._table))
+        self._report(cameras.standing(name, rows, STANDS_S, self._table))
         if len(rows) >= 8:
             self._noise[name] = noise_of(rows)
 
@@ -189,7 +189,7 @@ class Procedure:
             for body in {*seen, *rows, name}:
                 kept = seen.setdefault(body, [np.zeros((0, 4))] * k)
                 kept.append(rows.get(body, np.zeros((0, 4))))
-        self._say(cameras.carried(name, marks, seen))
+        self._report(cameras.carried(name, marks, seen))
         self._station.carry(name, marks[0])
 
     def _clicks(self, name: str) -> None:
@@ -207,7 +207,7 @@ class Procedure:
                 silent.append(str(jet + 1))
         code = "silent_valve" if silent else ""
         text = f"no click of valve {', '.join(silent)}" if silent else f"{len(jets)} clicks"
-        self._say(Verdict(step, name, text, code))
+        self._report(Verdict(step, name, text, code))
 
     def _float(self, name: str) -> None:
         step, vehicle = "float", self._experiment.vehicles[name].model
@@ -220,10 +220,10 @@ class Procedure:
                 self._station.carry(name, (*marks[0][:2], turn))
             rows = self._floating(name, FLOATS_S)
             if len(rows) < 8:
-                return self._say(Verdict(step, name, "no poses while it floats", "no_poses"))
+                return self._report(Verdict(step, name, "no poses while it floats", "no_poses"))
             drifts.append(drift_of(rows, self._noise[name], drags_of(vehicle)))
             slopes.append(self._slope(*drifts[-1].pose[:2].tolist()))
-        self._say(afloat(name, vehicle, drifts, slopes, self._table.spread))
+        self._report(afloat(name, vehicle, drifts, slopes, self._table.spread))
         return None
 
     def _jets(self, name: str) -> None:
@@ -237,10 +237,10 @@ class Procedure:
             pulse = self._measured(name, jet)
             if pulse is None:
                 text = f"jet {jet + 1} made a vehicle faster than {STOP:g} m/s: thrust or mass?"
-                return self._say(Verdict(step, name, text, "too_fast"))
+                return self._report(Verdict(step, name, text, "too_fast"))
             pulses.append(pulse)
         for verdict in judge(name, vehicle, pulses, self._table.spread):
-            self._say(verdict)
+            self._report(verdict)
         return None
 
     # Measurements
@@ -253,16 +253,16 @@ class Procedure:
         if pulse is None:
             return None
         change = float(np.hypot(*pulse.kick.change[:2]))
-        told = vehicle.jets[jet].thrust * pulse.flow_s / vehicle.mass
+        expected = vehicle.jets[jet].thrust * pulse.flow_s / vehicle.mass
         error = float(np.hypot(*pulse.kick.sigma[:2]))
-        strong = change / told if change - 2.0 * error > 1.5 * told else 1.0
+        strong = change / expected if change - 2.0 * error > 1.5 * expected else 1.0
         longer = pulse_length(vehicle, jet, PUSH, strong)
         kicks = [pulse.kick] if longer <= 1.1 * on_s else []
         while len(kicks) < REPEATS:
             if kicks:
                 mean = mean_of(kicks)
                 size = float(np.hypot(*mean.change[:2]))
-                if np.hypot(*mean.sigma[:2]) < EXACT * max(size, told):
+                if np.hypot(*mean.sigma[:2]) < EXACT * max(size, expected):
                     break
             pulse = self._pushed(name, jet, longer)
             if pulse is None:
@@ -380,7 +380,7 @@ class Procedure:
 
 
 def commission(
-    experiment: Experiment, station: Station, tell: Callable[[Verdict], Any] = lambda _: None,
+    experiment: Experiment, station: Station, report: Callable[[Verdict], Any] = lambda _: None,
     names: Sequence[str] | None = None,
 ) -> Commissioned:  # fmt: skip
     """Commission the vehicles of an experiment.
@@ -388,9 +388,9 @@ def commission(
     Args:
         experiment: as the lab's files say.
         station: the rig.
-        tell: called with every verdict.
+        report: called with every verdict.
         names: vehicles whose boards the station has; None: all.
     """
     ground = lay(experiment.table)
-    procedure = Procedure(experiment, station, tell, lambda x, y: np.array(tilt_at(ground, x, y)))
+    procedure = Procedure(experiment, station, report, lambda x, y: np.array(tilt_at(ground, x, y)))
     return Commissioned(procedure.run(names or list(experiment.vehicles)), procedure.pulses)

@@ -23,8 +23,8 @@ WEAK = 1e-3  # pushes and levers below this share of thrust and radius count as 
 def bad_hardware(experiment: Experiment) -> Iterator[Violation]:
     """Errors in the vehicles."""
     for name, setup in experiment.vehicles.items():
-        for key, *said in vehicle_violations(setup.model):
-            yield Violation(("vehicles", name, "model", *key), *said)
+        for key, *texts in vehicle_violations(setup.model):
+            yield Violation(("vehicles", name, "model", *key), *texts)
 
 
 def vehicle_violations(model: Vehicle) -> Iterator[Violation]:

@@ -57,7 +57,7 @@ class RequestForwarder:
     def keep(self, left: Event, hub: Hub) -> None:
         """Show what can be changed, until `left` is set."""
         while not left.is_set():
-            hub.say(controls=self.now())
+            hub.set_status(controls=self.now())
             left.wait(LOOK_S)
 
     def now(self) -> dict[str, Any] | None:

@@ -45,7 +45,7 @@ class Follower:
         if scenario is None:
             return
         self.scene = msgspec.json.encode(scene(scenario))
-        self._hub.say(scene=True, trouble="")
+        self._hub.set_status(scene=True, trouble="")
         picture, feed, ended = LivePicture(scenario), None, False
         while not ended:
             feed = feed or self._log()
@@ -53,7 +53,7 @@ class Follower:
                 try:
                     self._read(feed, picture)
                 except LogError as error:
-                    self._hub.say(trouble=str(error))
+                    self._hub.set_status(trouble=str(error))
                     return
             ended = self._status(picture) or left.wait(PERIOD_S)
         if feed is not None:
@@ -65,7 +65,7 @@ class Follower:
             try:
                 return load(config_of(self._run))
             except (LogError, ConfigError, OSError) as error:
-                self._hub.say(trouble=f"no experiment in {self._run}: {error}")
+                self._hub.set_status(trouble=f"no experiment in {self._run}: {error}")
             left.wait(PERIOD_S)
         return None
 
@@ -73,15 +73,15 @@ class Follower:
         path = self._run / "log.mcap"
         if not path.exists() or path.stat().st_size <= 8:
             return None
-        self._hub.say(trouble="")
+        self._hub.set_status(trouble="")
         return LogFeed(LogReader(path))
 
     def _read(self, feed: LogFeed, picture: LivePicture) -> None:
         news = feed.news()
         while batch := list(islice(news, BATCH)):
             picture.take(batch)
-            said = [[round(s.t, 2), ", ".join(s.who), s.level, s.words] for s in picture.said]
-            self._hub.put(picture.now(), (picture.pulses, picture.trail, said))
+            events = [[round(s.t, 2), ", ".join(s.who), s.level, s.words] for s in picture.events]
+            self._hub.put(picture.now(), (picture.pulses, picture.trail, events))
             picture.clear()
 
     def _status(self, picture: LivePicture) -> bool:
@@ -91,7 +91,7 @@ class Follower:
         checks = read_checks(self._run) if before else []
         if metrics is not None and metrics.red:
             checks = checks or items_of(metrics.red)
-        self._hub.say(
+        self._hub.set_status(
             checks=[] if metrics is not None and not metrics.red else checks,
             verdict=None if metrics is None else verdict(metrics),
         )

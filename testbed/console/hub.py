@@ -55,7 +55,7 @@ class Hub:
             self._events += part[2]
             self._changed.notify_all()
 
-    def say(self, **status: Any) -> None:
+    def set_status(self, **status: Any) -> None:
         """Change the status; readers get it with their next picture."""
         with self._changed:
             if {**self._status, **status} != self._status:

@@ -52,11 +52,11 @@ class LivePicture:
         }
         self.pulses: list[Pulse] = []  # new since the last `clear`
         self.trail: list[tuple[int, float, float]] = []
-        self.said: list[EventLine] = []
+        self.events: list[EventLine] = []
 
     def clear(self) -> None:
         """Drop the pulses, paths and messages added since the last call."""
-        self.pulses, self.trail, self.said = [], [], []
+        self.pulses, self.trail, self.events = [], [], []
 
     def take(self, news: Iterable[News]) -> None:
         """Update the picture with new messages of the log."""
@@ -80,7 +80,7 @@ class LivePicture:
                     self.phase = message
                     rows.append((SUPERVISOR, phase_change(message)))
         self._trouble.see(self._ticks)
-        self.said += self._story.tell(rows)
+        self.events += self._story.lines_of(rows)
 
     def _tick(self, name: str, tick: Tick) -> list[tuple[str, FlightEvent]]:
         previous = [self._ticks[name]] if name in self._ticks else []

@@ -52,7 +52,7 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
             signal.signal(number, leave)
     sys.setswitchinterval(0.0005)  # a press does not wait for a picture
     hub, stopper = Hub(), StopSender(run)
-    hub.say(server=secrets.token_hex(8))  # another one at the same port is another run
+    hub.set_status(server=secrets.token_hex(8))  # another one at the same port is another run
     follower = Follower(run, hub)
     token = "" if is_loopback(bind) else secrets.token_urlsafe(16)
     encryption = lab_certificate(run) if token else None
@@ -68,7 +68,7 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
     sys.stderr.flush()
     alone = 0.0
     while not left.wait(LOOK_S):
-        hub.say(stop={"words": stopper.ways.words, "ready": stopper.ways.ready})
+        hub.set_status(stop={"words": stopper.ways.words, "ready": stopper.ways.ready})
         alone = alone + LOOK_S if parent and not is_there(parent) else 0.0
         if alone > LINGER_S:
             left.set()

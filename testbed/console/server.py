@@ -96,13 +96,13 @@ class Handler(BaseHTTPRequestHandler):
         if not self._admitted() or "X-Console" not in self.headers:
             self._refuse()
         elif self.path == "/stop":
-            self._tell(self.server.answers.press(body.decode(errors="replace")[:64]))
+            self._send_answer(self.server.answers.press(body.decode(errors="replace")[:64]))
         elif self.path == "/request":
-            self._tell(self.server.answers.request(body))
+            self._send_answer(self.server.answers.request(body))
         else:
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
 
-    def _tell(self, answer: dict[str, Any]) -> None:
+    def _send_answer(self, answer: dict[str, Any]) -> None:
         self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
 
     def _picture(self, after: str) -> None:

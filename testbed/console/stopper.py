@@ -123,30 +123,33 @@ class StopSender:
         return {"lines": [f"{flight.name} on the {flight.rig}: stops"], "sent": True}
 
     def _stop_wires(self, flight: StoppableFlight) -> dict[str, Any]:
-        heard, stop, ended = set[str](), secrets.token_hex(8), dict[str, str]()
+        answered, stop, ended = set[str](), secrets.token_hex(8), dict[str, str]()
         expected = set(flight.vehicles)
 
         def directly() -> None:
-            heard.update(stop_directly(flight.endpoint, flight.lab, _keys(flight), expected, stop,
-                                       ANSWER_S))  # fmt: skip
+            answered.update(
+                stop_directly(
+                    flight.endpoint, flight.lab, _keys(flight), expected, stop, ANSWER_S
+                )
+            )  # fmt: skip
 
         def over_host() -> None:
             if self._host is not None:
                 keys = Keys(flight.lab)
                 self._host.put(keys.stop, stop.encode())
                 replies = answers(self._host, keys.stop, ANSWER_S, stop.encode())
-                heard.update(one.decode(errors="replace") for one in replies)
+                answered.update(one.decode(errors="replace") for one in replies)
                 ended.update(ended_vehicles(self._host, keys))
 
         both = [Thread(target=_quietly, args=(one,), daemon=True) for one in (directly, over_host)]
         for one in both:
             one.start()
         for one in both:
-            if not (expected and heard >= expected):
+            if not (expected and answered >= expected):
                 one.join(2.0 * ANSWER_S)
-        names = sorted({*expected, *heard, *ended})
-        lines = [f"{name}: {answer_of(name, heard, ended)}" for name in names]
-        return {"lines": lines or ["no vehicle answered"], "sent": bool(heard or ended)}
+        names = sorted({*expected, *answered, *ended})
+        lines = [f"{name}: {answer_of(name, answered, ended)}" for name in names]
+        return {"lines": lines or ["no vehicle answered"], "sent": bool(answered or ended)}
 
 
 def _keys(flight: StoppableFlight) -> Path | None:

@@ -156,8 +156,8 @@ def jump_of(law, law_state, own, neighbours, world, t):
 
 def broadcast_of(law, law_state, own, neighbours, world, t):
     """A law's message to the others, shape (k,); most laws send none."""
-    said = _plain(_BROADCASTS, law, "broadcast")
-    return np.zeros(0) if said is None else said(law_state, own, neighbours, world, t)
+    broadcast = _plain(_BROADCASTS, law, "broadcast")
+    return np.zeros(0) if broadcast is None else broadcast(law_state, own, neighbours, world, t)
 
 
 def _plain(table: dict[type, Callable], law: Any, verb: str) -> Any:

@@ -25,7 +25,7 @@ NOTHING, SEVERED = 1, 2  # exit codes: no log to show; viewer disconnected
 BATCH = 5000  # messages per update when catching up
 
 
-def tell(run: Path, url: str) -> None:
+def feed(run: Path, url: str) -> None:
     """Send a run to the viewer, from its beginning until it ends."""
     scenario = load(config_of(run))
     recording = rr.RecordingStream("airbearing-testbed", recording_id=f"{run.name}-{os.getpid()}")
@@ -34,7 +34,7 @@ def tell(run: Path, url: str) -> None:
     recording.send_blueprint(plan)
     book = await_log(log_of(run))
     follow(LogFeed(book), Scene(scenario, recording), recording)
-    for line in book.said():
+    for line in book.missing():
         sys.stderr.write(f"dashboard: warning: {line}\n")
 
 
@@ -56,7 +56,7 @@ def follow(feed: Feed, scene: Scene, recording: rr.RecordingStream, batch: int =
 def main() -> int:
     """Run the feeder; returns the exit code and writes errors to stderr."""
     try:
-        tell(Path(sys.argv[1]), sys.argv[2])
+        feed(Path(sys.argv[1]), sys.argv[2])
     except (LogError, ConfigError) as error:
         sys.stderr.write(f"dashboard: {error}\n")
         return NOTHING

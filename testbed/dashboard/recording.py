@@ -37,5 +37,5 @@ def write_recording(
         scene.finish()
         recording.flush()
         recording.disconnect()
-    warn(book.said())
+    warn(book.missing())
     return out

@@ -207,11 +207,11 @@ class PlotScene:
             lost = self._lost(name, [(at, own.t) for at, own in rows])
             self._column(f"plot/loss/{name}", t, lost)
 
-    def _lost(self, name: str, heard: list[tuple[float, float]]) -> list[float]:
+    def _lost(self, name: str, ages: list[tuple[float, float]]) -> list[float]:
         """Share of ticks without a new message, over some seconds [%]."""
         share, newest = self._renewed.get(name, (0.0, -1.0))
         out = []
-        for _, stamp in heard:
+        for _, stamp in ages:
             share += 0.02 * ((0.0 if stamp > newest else 100.0) - share)
             newest = stamp
             out.append(share)

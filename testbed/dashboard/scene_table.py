@@ -69,7 +69,7 @@ class TableScene:
     def draw(self, frame: Frame) -> None:
         """Draw vehicles, jets, goals and references at the newest time."""
         t = frame.t
-        ticks, truths, said = self._take(frame)
+        ticks, truths, news = self._take(frame)
         self._trouble.see(self._newest)
         self._mark(t)
         for k, name in enumerate(self._names):
@@ -87,7 +87,7 @@ class TableScene:
                 )
                 self._columns.add("transform", f"world/obstacle/{name}", t, (x, y, 0.0))
         self._aims.draw(self._newest, t)
-        for one in self._story.tell(said):
+        for one in self._story.lines_of(news):
             who = ", ".join(one.who) + "   " * (one.who != (SUPERVISOR,))
             who = "" if one.who == (SUPERVISOR,) else who
             words = plain(f"{one.t:6.1f}   {who}{one.words}")
@@ -103,7 +103,7 @@ class TableScene:
         """Ticks by vehicle, truths and events of a frame; stores the newest of each."""
         ticks: dict[str, list[Tick]] = {}
         truths: list[Truth] = []
-        said: list[tuple[str, FlightEvent]] = []
+        news: list[tuple[str, FlightEvent]] = []
         for _, who, t, message in frame.news:
             match message:
                 case Tick() if who in self._trails:
@@ -114,16 +114,16 @@ class TableScene:
                     truths.append(message)
                 case SeenPhase():
                     self._phase = message
-                    said.append((SUPERVISOR, phase_change(message)))
+                    news.append((SUPERVISOR, phase_change(message)))
                 case SeenPace(cameras=cameras):
                     before = self._cameras.get(who, "")
-                    said += [(who, one) for one in camera_events([(t, message)], before)]
+                    news += [(who, one) for one in camera_events([(t, message)], before)]
                     self._cameras[who] = cameras
         for name, flown in ticks.items():
             known = [self._newest[name]] if name in self._newest else []
-            said += [(name, one) for one in events([*known, *flown])[len(events(known)) :]]
+            news += [(name, one) for one in events([*known, *flown])[len(events(known)) :]]
             self._newest[name] = flown[-1]
-        return ticks, truths, said
+        return ticks, truths, news
 
     # Vehicles
 
@@ -236,6 +236,6 @@ class TableScene:
                 words = "in flight" + ", filter intervenes" * (tick.outputs.filtered is not None)
             states[who] = "flown" if over and tick is not None else words
         head = f"{phase}   |   " if phase else ""
-        said = f"{head}{'   |   '.join(grouped(states))}   |   {name}, law {law_of(self._scenario)}"
+        text = f"{head}{'   |   '.join(grouped(states))}   |   {name}, law {law_of(self._scenario)}"
         colour = GREEN if flies.issuperset(self._names) else AMBER
-        return Banner(plain(said), GREY if over else colour)
+        return Banner(plain(text), GREY if over else colour)

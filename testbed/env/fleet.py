@@ -57,7 +57,7 @@ class FleetEnv(ParallelEnv[str, Any, Any]):
             self._rng, _ = seeding.np_random(seed)
         self._world.reset(self._rng)
         self.agents = list(self.possible_agents)
-        return self._each(self._world.seen), self._each(self._world.told)
+        return self._each(self._world.seen), self._each(self._world.info)
 
     def step(self, actions: Each) -> tuple[Each, Each, Each, Each, Each]:
         """See `ParallelEnv`.
@@ -70,13 +70,13 @@ class FleetEnv(ParallelEnv[str, Any, Any]):
             raise TestbedError(where="step", expected=A_RESET, found="no agents")
         world.step(actions)
         ended = any(world.ended(name) for name in self.agents)
-        told = (
+        info = (
             self._each(world.seen), self._each(world.reward), dict.fromkeys(self.agents, ended),
-            dict.fromkeys(self.agents, world.late), self._each(world.told),
+            dict.fromkeys(self.agents, world.late), self._each(world.info),
         )  # fmt: skip
         if ended or world.late:
             self.agents = []
-        return told
+        return info
 
     def _each(self, of: Any) -> Each:
         return {name: of(name) for name in self.agents}

@@ -45,7 +45,7 @@ class TableEnv(gymnasium.Env[Any, Any]):
         super().reset(seed=seed)
         self._world.reset(self.np_random)
         self._ended = ""
-        return self._world.seen(self._name), self._world.told(self._name)
+        return self._world.seen(self._name), self._world.info(self._name)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """See `gymnasium.Env`.
@@ -59,7 +59,7 @@ class TableEnv(gymnasium.Env[Any, Any]):
         world.step({name: action})
         self._ended = world.ended(name)
         return (
-            world.seen(name), world.reward(name), bool(self._ended), world.late, world.told(name),
+            world.seen(name), world.reward(name), bool(self._ended), world.late, world.info(name),
         )  # fmt: skip
 
 

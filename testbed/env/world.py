@@ -211,7 +211,7 @@ class World:
             return "fence"
         return "fault" if self._last[name].outputs.fault is not None else ""
 
-    def told(self, name: str) -> dict[str, Any]:
+    def info(self, name: str) -> dict[str, Any]:
         """What Gymnasium calls `info`: times, true errors, and how the episode ended."""
         distance, heading = self.off(name)
         fault = self._last[name].outputs.fault

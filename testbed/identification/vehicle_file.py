@@ -24,8 +24,8 @@ def load_vehicle(name: str) -> Vehicle:
     """
     path = named_file(name, "vehicles", "a vehicle file")
     vehicle: Vehicle = convert(read_toml(path), Vehicle, path)  # type: ignore[assignment]
-    for key, *said in vehicle_violations(vehicle):
-        raise ConfigError(str(path), spell(key), *said)
+    for key, *texts in vehicle_violations(vehicle):
+        raise ConfigError(str(path), spell(key), *texts)
     return vehicle
 
 

@@ -94,11 +94,11 @@ class Extras:
             return
         self._state[name] = state
         level = ERROR if fault or response > Response.HOLD else WARN if response else OK
-        said = {"response": response, "fault": fault, "inhibit": inhibit}
+        codes = {"response": response, "fault": fault, "inhibit": inhibit}
         status = {
             "level": level, "name": name, "hardware_id": name,
             "message": RESPONSES[response],
-            "values": [{"key": key, "value": str(value)} for key, value in said.items()],
+            "values": [{"key": key, "value": str(value)} for key, value in codes.items()],
         }  # fmt: skip
         array = {"header": self._header(stamp, ""), "status": [status]}
         yield Extra("/diagnostics", DIAGNOSIS, cdr.encode(DIAGNOSIS, array))

@@ -70,7 +70,9 @@ class History(Struct, frozen=True):
 
     vehicles: dict[str, VehicleHistory]
     true_t: Array  # (m,) [s]
-    heard: dict[str, tuple[Array, Array]]  # per vehicle: t, age of its newest state at the host
+    state_ages: dict[
+        str, tuple[Array, Array]
+    ]  # per vehicle: t, age of its newest state at the host
     loop: Array  # (k, 3) t, late, busy [s]; empty if the clock was virtual
     phases: list[FlightEvent] = []  # of the supervisor
 
@@ -128,11 +130,11 @@ def _history(log: Columns) -> History:
                 motion = truth["vehicles"][:, names.index(name)]
                 true = np.column_stack((_numbers(motion["pose"]), _numbers(motion["twist"])))
             vehicles[name] = _vehicle(log, name, ticks, true, reader)
-    heard = {}
+    state_ages = {}
     for topic, host in log.rows.items():
         if topic.endswith("/host") and (known := host["inputs"]["own_known"] > 0).any():
             inputs = host["inputs"][known]
-            heard[topic.split("/")[1]] = inputs["t"], inputs["t"] - inputs["own"]["t"]
+            state_ages[topic.split("/")[1]] = inputs["t"], inputs["t"] - inputs["own"]["t"]
     phases = [
         phase_change(one)
         for data in log.texts.get("/supervisor", [])
@@ -142,7 +144,7 @@ def _history(log: Columns) -> History:
     return History(
         vehicles,
         none if truth is None else truth["t"],
-        heard,
+        state_ages,
         _numbers(loop) if loop is not None else none.reshape(0, 3),
         phases,
     )
@@ -164,7 +166,7 @@ def _vehicle(
     asked = np.where(out["active"] == Active.DEMAND, out["demand"]["fx_w"], math.nan)
     asked_y = np.where(out["active"] == Active.DEMAND, out["demand"]["fy_w"], math.nan)
     edges = log.rows.get(f"/{name}/valves")
-    said = [*events(_changes(log, name, ticks, reader)), *camera_events(paces)]
+    found = [*events(_changes(log, name, ticks, reader)), *camera_events(paces)]
     return VehicleHistory(
         t=inputs["t"],
         at=state["t"],
@@ -181,7 +183,7 @@ def _vehicle(
         tank=inputs["health"]["tank_pressure"],
         pose_age=state["pose_age"],
         filtered=np.column_stack((out["filtered"]["dfx_w"], out["filtered"]["dfy_w"])),
-        events=sorted(said, key=lambda one: (one.t, one.text)),
+        events=sorted(found, key=lambda one: (one.t, one.text)),
         edges=np.zeros((0, 2)) if edges is None else _numbers(edges).astype(float),
         wires=_wires(log.rows.get(f"/{name}/pace"), paces),
         true=true if len(true) else np.zeros((0, 6)),
@@ -231,8 +233,8 @@ def _wires(rows: Any, paces: list[tuple[float, SeenPace]]) -> Array:
     """The columns of `VehicleHistory.wires`."""
     if rows is None:
         return np.zeros((0, 5))
-    told = [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in paces]
-    return np.column_stack((np.array(told).reshape(-1, 4), rows["pose_to_valve_s"]))
+    columns = [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in paces]
+    return np.column_stack((np.array(columns).reshape(-1, 4), rows["pose_to_valve_s"]))
 
 
 def _or_nan(value: float | None) -> float:
@@ -244,13 +246,13 @@ def lost_share(pace: SeenPace) -> float:
     return pace.setpoints_lost / max(1, pace.setpoints_heard + pace.setpoints_lost)
 
 
-def camera_events(paces: Iterable[tuple[float, SeenPace]], said: str = "") -> list[FlightEvent]:
-    """Changes of the camera fault and their times [s]; `said` is the previous one."""
+def camera_events(paces: Iterable[tuple[float, SeenPace]], before: str = "") -> list[FlightEvent]:
+    """Changes of the camera fault and their times [s]; `before` is the previous one."""
     found = []
     for t, pace in paces:
-        if pace.cameras != said:
+        if pace.cameras != before:
             found.append(FlightEvent(t, "cameras", pace.cameras or "well again"))
-        said = pace.cameras
+        before = pace.cameras
     return found
 
 
@@ -259,7 +261,7 @@ def events(ticks: Iterable[Tick]) -> list[FlightEvent]:
 
     A response is listed with the active rows of the fault table, and again when a row is added.
     """
-    said: list[FlightEvent] = []
+    found: list[FlightEvent] = []
     shut, fault, response, kept = None, None, Response.NONE, ""
     held: frozenset[str] = frozenset()
     for tick in ticks:
@@ -267,17 +269,17 @@ def events(ticks: Iterable[Tick]) -> list[FlightEvent]:
         hazard = out.filtered.words if out.filtered else ""
         if (why := out.inhibit_reason) != shut:
             words = "" if why is None or why.code in LATCHED else why.words
-            said.append(FlightEvent(t, "flies" if why is None else "valves shut", words))
+            found.append(FlightEvent(t, "flies" if why is None else "valves shut", words))
         fresh = tuple(row for row in out.faults if row not in held)
         if out.response and (fresh or out.response != response):
             rows = fresh or out.faults
-            said.append(FlightEvent(t, out.response.words, ", ".join(rows), rows=rows))
+            found.append(FlightEvent(t, out.response.words, ", ".join(rows), rows=rows))
         elif response == Response.HOLD and not out.response:
-            said.append(FlightEvent(t, "goes on"))
+            found.append(FlightEvent(t, "goes on"))
         if out.fault is not None and out.fault != fault:
-            said.append(FlightEvent(t, "fault", out.fault.words, out.fault))
+            found.append(FlightEvent(t, "fault", out.fault.words, out.fault))
         if hazard and hazard != kept:
-            said.append(FlightEvent(t, "filter", hazard))
+            found.append(FlightEvent(t, "filter", hazard))
         shut, fault, response, kept = why, out.fault, out.response, hazard
         held = frozenset(out.faults)
-    return said
+    return found

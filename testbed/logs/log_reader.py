@@ -85,9 +85,9 @@ class Damage(NamedTuple):
         if self.until is None:
             what = "the flight" if self.since is None else f"the flight after {begin:.2f} s"
             return f"{place}: {what} is missing"
-        said = f"{place}: {max(0.0, self.until - begin):.2f} s of flight ({begin:.2f} s to "
+        words = f"{place}: {max(0.0, self.until - begin):.2f} s of flight ({begin:.2f} s to "
         lost = "" if self.messages is None else f", {counted(self.messages, 'message')}"
-        return f"{said}{self.until:.2f} s) are missing{lost}"
+        return f"{words}{self.until:.2f} s) are missing{lost}"
 
 
 class LogReader:
@@ -168,7 +168,7 @@ class LogReader:
         """Time of the run of the last message so far; None: no message [s]."""
         return self._seconds(self._stamp)
 
-    def said(self) -> list[str]:
+    def missing(self) -> list[str]:
         """Messages about damage in the part read so far or right after it; empty: none."""
         places = [*self._places(), *self._hurt_end()]
         lines = [f"{self.path} is {one}" for one in places[:SAID]]

@@ -197,15 +197,15 @@ def unpacked_size(body: bytes) -> int:
 
 def _unpacked(compression: str, packed: bytes, size: int, limit: int) -> bytes:
     if compression == "":
-        said = len(packed)
+        stated = len(packed)
     elif compression == "zstd":
         try:
-            said = zstandard.frame_content_size(packed)
+            stated = zstandard.frame_content_size(packed)
         except zstandard.ZstdError as error:
             raise BrokenError(str(error)) from None
     else:
         raise BrokenError(f"a compression {compression!r}, not zstd")
-    if said not in (size, -1):
+    if stated not in (size, -1):
         raise BrokenError("a chunk is of another size than it says")
     if size > limit:
         raise ChunkTooLargeError(f"a chunk of {len(packed)} bytes would unpack to {size}")

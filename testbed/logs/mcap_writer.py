@@ -169,7 +169,7 @@ class Log:
 
 
 def write_log(
-    path: Path, received: Iterator[Frame], disk: Disk, say: Callable[[str], object]
+    path: Path, received: Iterator[Frame], disk: Disk, reply: Callable[[str], object]
 ) -> None:  # fmt: skip
     """Copy frames into a new file at `path`, never over an older one.
 
@@ -180,7 +180,7 @@ def write_log(
     """
     file = File(path)
     log, extras = Log(file), Extras()
-    say(READY.decode().strip())
+    reply(READY.decode().strip())
     topics: list[tuple[int, Topic]] = []
     try:
         for frame in received:
@@ -194,7 +194,7 @@ def write_log(
                 case Mark():
                     log.mcap.flush()
                     if line := disk.check(path):
-                        say(line)
+                        reply(line)
                 case Epoch(utc_ns):
                     log.epoch = extras.epoch = utc_ns
                 case Topic(name, kind):
@@ -243,17 +243,17 @@ def main() -> int:
     sys.setswitchinterval(SWITCH_S)
     path, (warn_below, end_below) = Path(sys.argv[1]), map(int, sys.argv[2:4])
 
-    def say(line: str) -> None:
+    def reply(line: str) -> None:
         sys.stderr.write(line + "\n")
         sys.stderr.flush()
 
     disk = Disk(lambda: free_at(path), warn_below, end_below)
     try:
-        write_log(path, frames(read_chunks(sys.stdin.fileno())), disk, say)
+        write_log(path, frames(read_chunks(sys.stdin.fileno())), disk, reply)
     except OSError as error:
-        say(f"{error.filename or path}: {error.strerror}")
+        reply(f"{error.filename or path}: {error.strerror}")
     except DiskFullError as error:
-        say(f"{path}: {error}")
+        reply(f"{path}: {error}")
     else:
         return 0
     sys.stderr.flush()

@@ -113,7 +113,7 @@ class Recorder:
         self._path, self._waits = path, waits
         self.lost = 0  # rows
         self.epoch_ns = epoch_ns  # counts until the first row
-        self._told = False  # whether lost rows have been reported
+        self._reported = False  # whether lost rows have been reported
         self._pending = bytearray()  # not yet in the pipe
         self._command = [
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
@@ -122,7 +122,7 @@ class Recorder:
         self._met = False  # the writer has created the file
         self._span = span_ns
         self._marked = -span_ns  # time of the last mark [ns]
-        self._said = b""  # output of the writer that has not been passed on
+        self._unread = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line
         self._pack = msgspec.msgpack.Encoder().encode_into
         self._topics: dict[str, int] = {}
@@ -148,12 +148,12 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with suppress(RecorderError):  # its reason is said below
+        with suppress(RecorderError):  # its reason is printed below
             if self._block:
                 self._append(self._block.take())
-        said = self._last_words()
+        reason = self._last_words()
         if self._writer.returncode != 0 and kind is None:
-            raise RecorderError(said)
+            raise RecorderError(reason)
 
     def write(self, topic: str, t: float, message: Struct | FlownTick | FlownHostTick) -> None:
         """Append one message of time `t` [s] to `topic`.
@@ -246,10 +246,10 @@ class Recorder:
         assert self._writer.stderr is not None
         if not select.select([self._writer.stderr], [], [], 4.0 * PATIENCE_S)[0]:
             raise RecorderError(self._give_up("did not start"))
-        self._said = self._writer.stderr.readline()
-        if self._said != READY:
+        self._unread = self._writer.stderr.readline()
+        if self._unread != READY:
             raise RecorderError(self._last_words())
-        self._met, self._said = True, b""
+        self._met, self._unread = True, b""
         os.set_blocking(self._writer.stderr.fileno(), False)
         os.set_blocking(self._writer.stdin.fileno(), False)
 
@@ -273,23 +273,23 @@ class Recorder:
         self._hand_over()
         assert self._writer.stderr is not None
         try:
-            heard = os.read(self._writer.stderr.fileno(), 4096)
+            received = os.read(self._writer.stderr.fileno(), 4096)
         except BlockingIOError:
             return self._losses()  # no messages
-        if not heard:
+        if not received:
             raise RecorderError(self._last_words())
-        *lines, self._said = (self._said + heard).split(b"\n")
+        *lines, self._unread = (self._unread + received).split(b"\n")
         self._reason = lines[-1].decode() if lines else self._reason
         if self._reason.startswith(FULL):  # the writer goes on until this flight has ended
             raise RecorderError(self._reason.removeprefix(FULL))
-        said = [line.decode() for line in lines if line.startswith(b"warning")]
-        return said + self._losses()
+        warnings = [line.decode() for line in lines if line.startswith(b"warning")]
+        return warnings + self._losses()
 
     def _losses(self) -> list[str]:
         """A warning about lost rows, once."""
-        if not self.lost or self._told:
+        if not self.lost or self._reported:
             return []
-        self._told = True
+        self._reported = True
         return ["warning: the process that writes the log does not keep up; rows of it are lost"]
 
     def _send(self, frame: Frame) -> None:
@@ -371,9 +371,9 @@ class Recorder:
         with suppress(BrokenPipeError):
             self._writer.stdin.close()
         os.set_blocking(self._writer.stderr.fileno(), True)
-        said = self._writer.stderr.read()
+        rest = self._writer.stderr.read()
         self._writer.stderr.close()
-        lines = [self._reason, *(self._said + said).decode().strip().splitlines()]
+        lines = [self._reason, *(self._unread + rest).decode().strip().splitlines()]
         self._reason = lines[-1] or f"the log writer ended with {self._writer.returncode}"
         return self._reason
 

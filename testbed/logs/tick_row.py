@@ -128,10 +128,10 @@ class RowWriter:
     def _tick(self, topic: str, t: float, tick: Tick, who: str, out: list[Made]) -> Made:
         i, o = tick.inputs, tick.outputs
         v, c, own = i.vitals, o.command, o.message
-        said = self.event
-        law_error = said(EventKind.LAW_ERROR, v.law_error, who, t, out)
-        fleet = said(EventKind.FLEET, v.fleet, who, t, out)
-        said(EventKind.FAULT, o.fault, who, t, out)
+        event = self.event
+        law_error = event(EventKind.LAW_ERROR, v.law_error, who, t, out)
+        fleet = event(EventKind.FLEET, v.fleet, who, t, out)
+        event(EventKind.FAULT, o.fault, who, t, out)
         aim, references = self._aim(i.setpoint)
         at, now = o.active_setpoint, Active.NONE
         reference, demand = _NO_REFERENCE, _NO_DEMAND

@@ -178,7 +178,7 @@ class NatNetClient:
             if not strange <= self._nameless:
                 self._ask_due, self.names = 0, {}  # the operator changed the bodies: ask again
                 return None
-        self.clock.heard(self._ns(frame.sent), arrived_ns)
+        self.clock.received(self._ns(frame.sent), arrived_ns)
         exposed = self.clock.to_own(self._ns(frame.exposed))
         assert exposed is not None
         bodies = {

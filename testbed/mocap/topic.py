@@ -33,7 +33,7 @@ class PoseTopic:
     def poll(self) -> list[Exposure]:
         """See `MocapSource`."""
         exposures = []
-        for arrived, data in self._subscriber.heard():
+        for arrived, data in self._subscriber.received():
             try:
                 number, exposed, sent, bodies = self._decode(data)
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -42,7 +42,7 @@ class PoseTopic:
             if len(self._known | bodies.keys()) > MOST_BODIES:
                 self.bad += 1
                 continue
-            self.clock.heard(sent, arrived)
+            self.clock.received(sent, arrived)
             at = self.clock.to_own(exposed)
             assert at is not None
             self._known |= bodies.keys()

@@ -26,22 +26,22 @@ def read_clock(session: zenoh.Session, keys: Keys) -> ClockOffset:
     clock = ClockOffset()
     for _ in range(READINGS):
         asked = monotonic_ns()
-        said = ask(session, keys.clock)
-        if len(said) != STAMP:
-            raise NetworkError(f"the host's clock sent {len(said)} bytes, expected {STAMP}")
-        clock.exchanged(asked, int.from_bytes(said, "little"), monotonic_ns())
+        answer = ask(session, keys.clock)
+        if len(answer) != STAMP:
+            raise NetworkError(f"the host's clock sent {len(answer)} bytes, expected {STAMP}")
+        clock.exchanged(asked, int.from_bytes(answer, "little"), monotonic_ns())
     return clock
 
 
 def query(session: zenoh.Session, key: str, answered: Callable[[int], None]) -> None:
     """Ask for the host's clock; `answered` gets it [ns] if an answer comes, without waiting."""
 
-    def hear(reply: Any) -> None:
-        said = b"" if reply.ok is None else reply.ok.payload.to_bytes()
-        if len(said) == STAMP:
-            answered(int.from_bytes(said, "little"))
+    def receive(reply: Any) -> None:
+        answer = b"" if reply.ok is None else reply.ok.payload.to_bytes()
+        if len(answer) == STAMP:
+            answered(int.from_bytes(answer, "little"))
 
-    session.get(key, zenoh.handlers.Callback(hear, indirect=False), timeout=1.0)
+    session.get(key, zenoh.handlers.Callback(receive, indirect=False), timeout=1.0)
 
 
 class Reader:

@@ -42,9 +42,9 @@ class NoteError(TestbedError):
 
 def _bases(uid: int) -> list[Path]:
     """Folders that may hold a user's notes; ssh, sudo and cron do not set XDG_RUNTIME_DIR."""
-    said = os.environ.get("XDG_RUNTIME_DIR")
-    if said and uid == os.getuid():
-        return [Path(said)]
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime and uid == os.getuid():
+        return [Path(runtime)]
     login = Path(f"/run/user/{uid}")
     return [*([login] if login.is_dir() else []), Path(tempfile.gettempdir())]
 
@@ -82,7 +82,7 @@ def complain(text: str) -> None:
 @contextmanager
 def noted(
     endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
-    pid: int = 0, say: Callable[[str], None] = complain, folder: Path | None = None,
+    pid: int = 0, warn: Callable[[str], None] = complain, folder: Path | None = None,
     rig: str = "twin",
 ) -> Iterator[None]:  # fmt: skip
     """Keep a note of a flight while the context is open; a process has one, the newest.
@@ -93,7 +93,7 @@ def noted(
         vehicles: the flight's vehicles.
         name: of the experiment.
         pid: process that ends the flight; 0: this one.
-        say: called with a warning if the note cannot be written; the flight goes on.
+        warn: called with a warning if the note cannot be written; the flight goes on.
         folder: run folder, by which an operator's page finds the flight.
         rig: of a note without an endpoint.
     """
@@ -108,7 +108,7 @@ def noted(
     except (OSError, NoteError) as error:
         note = None
         place = f" --connect {endpoint}" if endpoint else ": not on the twin, use Ctrl-C"
-        say(f"warning: no note for `testbed stop`: {error}; it needs{place}")
+        warn(f"warning: no note for `testbed stop`: {error}; it needs{place}")
     try:
         yield
     finally:

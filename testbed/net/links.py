@@ -55,13 +55,13 @@ class NewestMessage(Generic[M]):
 
     def newest(self) -> M | None:
         """The newest message, of any age."""
-        for at, data in self._subscriber.heard():
+        for at, data in self._subscriber.received():
             self.inbox.take(data, self._clock.of(at))
         return self.inbox.newest
 
 
-def _newest(heard: Mapping[str, NewestMessage[M]]) -> dict[str, M]:
-    found = {name: one.newest() for name, one in heard.items()}
+def _newest(inputs: Mapping[str, NewestMessage[M]]) -> dict[str, M]:
+    found = {name: one.newest() for name, one in inputs.items()}
     return {name: message for name, message in found.items() if message is not None}
 
 
@@ -72,11 +72,11 @@ class MessageSender:
         self._publisher, self._clock = Publisher(party.session, key), party.clock
         self.outbox = Outbox(party.run)
 
-    def say(self, message: object, valid_until: float | None = None) -> None:
+    def send(self, message: object, valid_until: float | None = None) -> None:
         """Send a message; without `valid_until` [s] it expires after `KEPT_S`."""
         now = self._clock.now
         until = now + KEPT_S if valid_until is None else valid_until
-        self._publisher.say(self.outbox.seal(message, now, until))
+        self._publisher.send(self.outbox.seal(message, now, until))
 
 
 class ZenohVehicleLink:
@@ -84,7 +84,7 @@ class ZenohVehicleLink:
 
     def __init__(self, party: Party, others: Iterable[str]) -> None:
         keys, name = party.keys, party.name
-        self.heard = NewestMessage(party, keys.of(name, "setpoint"), open_setpoint)
+        self.setpoints = NewestMessage(party, keys.of(name, "setpoint"), open_setpoint)
         others = [other for other in others if other != name]
         self._states = {n: NewestMessage(party, keys.of(n, "state"), open_state) for n in others}
         self._messages = {
@@ -97,23 +97,23 @@ class ZenohVehicleLink:
     @property
     def foreign(self) -> int:
         """Number of messages of another session so far."""
-        heard: list[NewestMessage[Any]] = [
-            self.heard,
+        inputs: list[NewestMessage[Any]] = [
+            self.setpoints,
             *self._states.values(),
             *self._messages.values(),
         ]
-        return sum(one.inbox.foreign for one in heard)
+        return sum(one.inbox.foreign for one in inputs)
 
     @property
     def arrived(self) -> dict[str, int]:
         """Number of messages so far, by what they carry."""
-        counts = {"setpoints": self.heard.arrived}
+        counts = {"setpoints": self.setpoints.arrived}
         counts |= {f"states of {n}": one.arrived for n, one in self._states.items()}
         return counts | {f"messages of {n}": one.arrived for n, one in self._messages.items()}
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""
-        return self.heard.newest()
+        return self.setpoints.newest()
 
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
@@ -121,7 +121,7 @@ class ZenohVehicleLink:
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
-        self._state.say(state)
+        self._state.send(state)
 
     def messages(self) -> dict[str, LawMessage]:
         """See `VehicleLink`."""
@@ -129,29 +129,29 @@ class ZenohVehicleLink:
 
     def broadcast(self, message: LawMessage) -> None:
         """See `VehicleLink`."""
-        self._message.say(message)
+        self._message.send(message)
 
 
 class LocalMessages:
     """Messages between laws on the same computer: readable from the next tick on."""
 
     def __init__(self) -> None:
-        self._said: dict[str, tuple[int, LawMessage, LawMessage | None]] = {}
+        self._messages: dict[str, tuple[int, LawMessage, LawMessage | None]] = {}
         self.tick = 0
 
     def write(self, name: str, message: LawMessage) -> None:
         """Store a vehicle's message for the others."""
-        _, newest, _ = self._said.get(name, (0, None, None))
-        self._said[name] = (self.tick, message, newest)
+        _, newest, _ = self._messages.get(name, (0, None, None))
+        self._messages[name] = (self.tick, message, newest)
 
     def read(self, name: str) -> dict[str, LawMessage]:
         """Messages that the others wrote before this tick."""
-        heard = {}
-        for other, (tick, newest, before) in self._said.items():
+        received = {}
+        for other, (tick, newest, before) in self._messages.items():
             message = newest if tick < self.tick else before
             if other != name and message is not None:
-                heard[other] = message
-        return heard
+                received[other] = message
+        return received
 
 
 class ZenohHostLink:
@@ -165,7 +165,7 @@ class ZenohHostLink:
         board: LocalMessages,
     ) -> None:
         self._name, self._states, self._board = vehicle, states, board
-        self.said = MessageSender(party, party.keys.of(vehicle, "setpoint"))
+        self.setpoints = MessageSender(party, party.keys.of(vehicle, "setpoint"))
 
     def own(self) -> State | None:
         """See `HostLink`."""
@@ -179,7 +179,7 @@ class ZenohHostLink:
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
-        self.said.say(setpoint, setpoint.valid_until)
+        self.setpoints.send(setpoint, setpoint.valid_until)
 
     def messages(self) -> dict[str, LawMessage]:
         """See `HostLink`."""

@@ -49,7 +49,7 @@ class Roll:
         self.left: dict[str, str] = {}  # vehicles that have left, and why
         self.stopped = False  # an operator's stop has reached a vehicle
         self._kept = [
-            answer_to(session, keys.of(name, "roll"), partial(self._hear, name)) for name in names
+            answer_to(session, keys.of(name, "roll"), partial(self._answer, name)) for name in names
         ]
 
     def farewells(self) -> dict[str, str]:
@@ -57,7 +57,7 @@ class Roll:
         left, self.left = self.left, {}
         return left
 
-    def _hear(self, name: str, data: bytes) -> bytes:
+    def _answer(self, name: str, data: bytes) -> bytes:
         match _decode(data):
             case Enrol(ticket):
                 self.tickets[name] = ticket

@@ -118,7 +118,7 @@ def publish(
         pause: waits so long [s].
         speed: of a finished run, as a multiple of real time; None: as it is written.
     """
-    said: dict[str, Message] = {}
+    once: dict[str, Message] = {}
     extras = Extras(every_ns=0)  # their stamps are UTC already
     repeated = began = now()
     first: int | None = None
@@ -128,7 +128,7 @@ def publish(
         nonlocal repeated
         if now() - repeated >= REPEAT_S:
             repeated = now()
-            for one in said.values():
+            for one in once.values():
                 node.publish(*one)
 
     while True:
@@ -141,7 +141,7 @@ def publish(
             node.publish(*one)
             number += 1
             if one.topic in ONCE:
-                said[one.topic] = one
+                once[one.topic] = one
         repeat()
         if log.finished:
             return number

@@ -155,11 +155,11 @@ class Subscriber:
         self.arrived = 0  # messages so far, also those that were dropped
         self._subscriber = session.declare_subscriber(
             key,
-            zenoh.handlers.Callback(self._hear, indirect=False),  # short, never blocks
+            zenoh.handlers.Callback(self._receive, indirect=False),  # short, never blocks
             allowed_origin=zenoh.Locality.REMOTE,
         )
 
-    def _hear(self, sample: Any) -> None:
+    def _receive(self, sample: Any) -> None:
         at: int | None = monotonic_ns()
         self.arrived += 1
         if self._arrival is not None:
@@ -172,7 +172,7 @@ class Subscriber:
         """Undeclare the subscription: no message arrives after this."""
         self._subscriber.undeclare()
 
-    def heard(self) -> list[tuple[int, bytes]]:
+    def received(self) -> list[tuple[int, bytes]]:
         """Messages since the last call, in order of arrival; their times are monotonic [ns]."""
         now = monotonic_ns()
         messages = [self._waiting.popleft() for _ in range(len(self._waiting))]
@@ -181,13 +181,13 @@ class Subscriber:
         return sorted((m for m in messages if m[0] <= now), key=lambda m: m[0])
 
 
-def on_word(session: zenoh.Session, key: str, do: Callable[[bytes], object]) -> Any:
+def on_message(session: zenoh.Session, key: str, do: Callable[[bytes], object]) -> Any:
     """Call `do` with the message, in Zenoh's thread, whenever one arrives on a key."""
 
-    def hear(sample: Any) -> None:
+    def receive(sample: Any) -> None:
         do(sample.payload.to_bytes())
 
-    return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
+    return session.declare_subscriber(key, zenoh.handlers.Callback(receive, indirect=False))
 
 
 class Publisher:
@@ -201,7 +201,7 @@ class Publisher:
             express=not bulk,
         )
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         """Publish a message without waiting for the network."""
         self._publisher.put(data)
 
@@ -242,10 +242,10 @@ def ask(session: zenoh.Session, key: str, question: bytes = b"", wait_s: float =
     Raises:
         NetworkError: no answer came in time, or the answer is an error.
     """
-    said = "no party is there"
+    reason = "no party is there"
     for reply in session.get(key, payload=question, timeout=wait_s):
         if reply.ok is not None:
             return bytes(reply.ok.payload.to_bytes())
         assert reply.err is not None
-        said = reply.err.payload.to_bytes().decode(errors="replace")
-    raise NetworkError(f"no answer on {key}: {said}")
+        reason = reply.err.payload.to_bytes().decode(errors="replace")
+    raise NetworkError(f"no answer on {key}: {reason}")

@@ -206,10 +206,10 @@ def _stop_host(
     keys, folder = Keys(flight.lab), Path(flight.keys) if flight.keys else None
     with dial(flight.endpoint, WAIT_S, folder, open_s=OPEN_S) as session:
         session.put(keys.stop, stop.encode())
-        heard = answers(session, keys.stop, ANSWER_S, stop.encode())
+        answered = answers(session, keys.stop, ANSWER_S, stop.encode())
         flown = _vehicles(answers(session, keys.experiment, ANSWER_S))
         names, ended, end = set(flight.vehicles or flown), dict[str, str](), monotonic() + LATE_S
-        shut = shut | {data.decode(errors="replace") for data in heard}
+        shut = shut | {data.decode(errors="replace") for data in answered}
         while (late := names - shut - ended.keys()) and monotonic() < end:
             ended = ended_vehicles(session, keys)
             if late := late - ended.keys():
@@ -261,8 +261,8 @@ def ended_vehicles(session: "zenoh.Session", keys: "Keys") -> dict[str, str]:
     from testbed.net.session import answers
 
     with suppress(ValueError, AttributeError, IndexError, RecursionError):
-        said = answers(session, keys.ended, ANSWER_S)[0]
-        return {str(name): str(air) for name, air in json.loads(said).items()}
+        answer = answers(session, keys.ended, ANSWER_S)[0]
+        return {str(name): str(air) for name, air in json.loads(answer).items()}
     return {}
 
 

@@ -34,7 +34,7 @@ class ClockOffset:
             self._readings.append(Reading(other_ns - 0.5 * (asked_ns + answered_ns), delay))
             self._best = min(self._readings, key=lambda r: r.delay_ns)
 
-    def heard(self, sent_ns: float, arrived_ns: int) -> None:
+    def received(self, sent_ns: float, arrived_ns: int) -> None:
         """Add a one-way message stamped by the other clock."""
         self._earliest.append(sent_ns - arrived_ns)
 

@@ -220,9 +220,9 @@ class LawWatch:
             os._exit(1)
 
 
-def _at_fork(tell: Callable[[LawWatch], None]) -> None:
+def _at_fork(call: Callable[[LawWatch], None]) -> None:
     for watch in _open.watches:
-        tell(watch)
+        call(watch)
 
 
 os.register_at_fork(
@@ -234,12 +234,12 @@ os.register_at_fork(
 def _listen() -> None:
     """Hear of every process that is started; this cannot be undone."""
 
-    def hear(event: str, arguments: tuple[object, ...]) -> None:
+    def audit(event: str, arguments: tuple[object, ...]) -> None:
         if event in STARTS:
             for watch in _open.watches:
                 watch.starts(event)
 
-    sys.addaudithook(hear)
+    sys.addaudithook(audit)
 
 
 def current() -> LawWatch | None:

@@ -23,9 +23,9 @@ def lines(scenario: Experiment, history: History, touches: Sequence[Touch]) -> l
     """Events in order of time; repeated ones are merged."""
     rows = [(name, one) for name, vehicle in history.vehicles.items() for one in vehicle.events]
     rows += [(SUPERVISOR, one) for one in history.phases]
-    told = Story(scenario).tell(rows)
-    told += [EventLine(t.t, (t.vehicle,), "CRITICAL", hit(scenario, t)) for t in touches]
-    return sorted(gathered(told), key=lambda one: (one.t, RANK.index(one.level)))
+    events = Story(scenario).lines_of(rows)
+    events += [EventLine(t.t, (t.vehicle,), "CRITICAL", hit(scenario, t)) for t in touches]
+    return sorted(gathered(events), key=lambda one: (one.t, RANK.index(one.level)))
 
 
 def gathered(lines: list[EventLine]) -> list[EventLine]:
@@ -41,14 +41,14 @@ def gathered(lines: list[EventLine]) -> list[EventLine]:
             continue
         who = tuple(dict.fromkeys(name for one in same for name in one.who))
         first, last = same[0].t, same[-1].t
-        often_said = f"{count} x {words}, first {first:.1f} s, last {last:.1f} s"
-        found.append(EventLine(first, who, same[0].level, often_said))
+        summary = f"{count} x {words}, first {first:.1f} s, last {last:.1f} s"
+        found.append(EventLine(first, who, same[0].level, summary))
     return found
 
 
-def happened(told: Sequence[EventLine]) -> str:
+def happened(events: Sequence[EventLine]) -> str:
     """The report's section of faults and interventions, as HTML."""
-    rows = [_row(one) for one in told]
+    rows = [_row(one) for one in events]
     if not rows:
         return "<h2>Faults and interventions</h2><p>None.</p>"
     if (more := len(rows) - SHOWN) > 0:  # keep the first and the last lines

@@ -98,7 +98,7 @@ class Story:
         self._scenario = scenario
         self._known: set[tuple[str, str, str]] = set()  # faults already reported, by `_key`
 
-    def tell(self, rows: Iterable[tuple[str, FlightEvent]]) -> list[EventLine]:
+    def lines_of(self, rows: Iterable[tuple[str, FlightEvent]]) -> list[EventLine]:
         """Lines of rows (who, what); each call must be later than the previous one."""
         ordered = sorted(rows, key=lambda row: row[1].t)
         for who, one in ordered:
@@ -108,8 +108,8 @@ class Story:
         for who, one in ordered:
             if (line := self._line(who, one)) is not None:
                 lines.setdefault((one.t, *line), []).append(who)
-        said = [EventLine(t, tuple(who), level, words) for (t, level, words), who in lines.items()]
-        return sorted(said, key=lambda one: (one.t, RANK.index(one.level)))
+        found = [EventLine(t, tuple(who), level, words) for (t, level, words), who in lines.items()]
+        return sorted(found, key=lambda one: (one.t, RANK.index(one.level)))
 
     def _line(self, who: str, one: FlightEvent) -> tuple[Level, str] | None:
         """Level and text of a line; None if it repeats known information."""

@@ -31,7 +31,7 @@ PAPERS = {  # corresponding figures of the papers
 
 def figures(
     scenario: Experiment, history: History, touches: Sequence[Touch] = (),
-    told: Sequence[EventLine] = (),
+    events: Sequence[EventLine] = (),
 ) -> list[Chart]:  # fmt: skip
     """All applicable figures, in the order of the report, with contacts and events marked."""
     makers = (
@@ -41,8 +41,8 @@ def figures(
     )  # fmt: skip
     made = [chart for maker in makers for chart in maker(scenario, history)]
     shown = [chart for chart in made if any(_shows(item) for item in chart.items)]
-    moments = moments_of(history, touches, told)
-    crosses = crosses_of(history, touches, told)
+    moments = moments_of(history, touches, events)
+    crosses = crosses_of(history, touches, events)
     return [with_events(chart, moments, crosses) for chart in shown]
 
 
@@ -273,14 +273,14 @@ def _timing(scenario: Experiment, history: History) -> Iterator[Chart]:
     yield Chart("pose_age", "Age of the newest pose, when the plan takes effect", "time [s]",
                 "age [ms]", poses, _time(history), height=150,
                 note="The largest of each second.")  # fmt: skip
-    heard: list[Item] = [
-        Line(t, 1e3 * age, k, name) for k, (name, (t, age)) in enumerate(history.heard.items())
+    ages: list[Item] = [
+        Line(t, 1e3 * age, k, name) for k, (name, (t, age)) in enumerate(history.state_ages.items())
     ]
     for k, name, v in enumerated(history):
         if len(v.wires):
-            heard.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 2], k, f"to {name}", "thin dashed"))
+            ages.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 2], k, f"to {name}", "thin dashed"))
     yield Chart("link", "Link: age of the newest state at the host", "time [s]",
-                "age [ms]", heard, _time(history), height=150)  # fmt: skip
+                "age [ms]", ages, _time(history), height=150)  # fmt: skip
     loop: list[Item] = []
     if len(history.loop):
         loop = [Line(history.loop[:, 0], 1e3 * history.loop[:, 1], 0, "late"),

@@ -37,12 +37,12 @@ class Film:
     """Frames of one run."""
 
     def __init__(
-        self, scenario: Experiment, history: History, told: Sequence[EventLine], width: int
+        self, scenario: Experiment, history: History, events: Sequence[EventLine], width: int
     ) -> None:
         if Image is None:
             raise FilmError(f"a film needs Pillow: {pip_install('film')}")
-        self._scenario, self._told = scenario, told
-        self._data = flight_data(scenario, history, told)
+        self._scenario, self._events = scenario, events
+        self._data = flight_data(scenario, history, events)
         self.end: float = self._data["end"]
         self._scale = FINE * (width - 2 * EDGE) / scenario.table.size[0]  # pixels per metre
         high = round(scenario.table.size[1] * self._scale / FINE)
@@ -172,11 +172,11 @@ class Film:
         left, right, y = FINE * EDGE, FINE * (width - EDGE), FINE * (HEAD - 12)
         pen.line((left, y, right, y), COLOURS["grid"], 4 * FINE)
         pen.line((left, y, left + (right - left) * t / self.end, y), COLOURS["h0"], 4 * FINE)
-        for one in self._told:
+        for one in self._events:
             if one.level in ("CRITICAL", "ERROR"):
                 mark = left + (right - left) * min(1.0, one.t / self.end)
                 pen.line((mark, y - 5 * FINE, mark, y + 5 * FINE), COLOURS["danger"], 2 * FINE)
-        recent = [one for one in self._told if t - TOLD_S < one.t <= t + 1e-6]
+        recent = [one for one in self._events if t - TOLD_S < one.t <= t + 1e-6]
         if not recent:
             return
         worst = min(recent, key=lambda one: RANK.index(one.level))

@@ -22,8 +22,8 @@ def fork_changes(experiment: Experiment, whole: Sequence[str] = ()) -> list[str]
     found, before, stages = [], experiment, experiment.stages()
     for k, (at, after) in enumerate(stages, 1):
         parts = [*_changes(before, after), *(whole if k == len(stages) else ())]
-        said = "; ".join(parts) or "a fork without changes of law, chain or seed"
-        found.append(f"From {at:g} s on: {said}.")
+        sentences = "; ".join(parts) or "a fork without changes of law, chain or seed"
+        found.append(f"From {at:g} s on: {sentences}.")
         before = after
     return found
 

@@ -25,22 +25,24 @@ def with_events(chart: Chart, moments: Sequence[Item], crosses: Sequence[Item]) 
     return replace(chart, items=[*chart.items, *crosses], note=note)
 
 
-def moments_of(history: History, touches: Sequence[Touch], told: Sequence[EventLine]) -> list[Item]:
+def moments_of(
+    history: History, touches: Sequence[Touch], events: Sequence[EventLine]
+) -> list[Item]:
     """A line at each contact, each vehicle's own fault, and the first mild events."""
     named = [(one.t, f"{one.vehicle} hits {one.other}") for one in touches]
-    named += [(one.t, f"{', '.join(one.who)}: {fault_in(one.words)}") for one in _faults(told)]
+    named += [(one.t, f"{', '.join(one.who)}: {fault_in(one.words)}") for one in _faults(events)]
     times: dict[float, str] = {}
     for t, words in named:
         if all(abs(t - other) > APART * history.end for other in times):
             times[t] = "" if words in times.values() else words  # each is named once
-    mild = [one.t for one in told if one.level == "WARN" and one.t > 0.5][:MOST_EVENTS]
+    mild = [one.t for one in events if one.level == "WARN" and one.t > 0.5][:MOST_EVENTS]
     return [*(Moment(t, words) for t, words in times.items()),
             *(Moment(t, "", "mild") for t in dict.fromkeys(mild))]  # fmt: skip
 
 
-def _faults(told: Sequence[EventLine]) -> list[EventLine]:
+def _faults(events: Sequence[EventLine]) -> list[EventLine]:
     """Faults of the vehicles that are the culprits."""
-    return [one for one in told if one.level == "CRITICAL" and one.words.startswith("fault: ")]
+    return [one for one in events if one.level == "CRITICAL" and one.words.startswith("fault: ")]
 
 
 def fault_in(words: str) -> str:
@@ -48,18 +50,20 @@ def fault_in(words: str) -> str:
     return words.removeprefix("fault: ").partition(":")[0].replace("_", " ")
 
 
-def crosses_of(history: History, touches: Sequence[Touch], told: Sequence[EventLine]) -> list[Item]:
+def crosses_of(
+    history: History, touches: Sequence[Touch], events: Sequence[EventLine]
+) -> list[Item]:
     """A star at each contact, a cross where a vehicle had its fault."""
     found: list[Item] = []
     first = {one.vehicle: one.t for one in reversed(touches)}
     for one in touches:
         name = f"contact, {one.t:.1f} s" if one.t == first[one.vehicle] else ""
         found.append(Point(*_place(history, one.vehicle, one.t), 0, "hit", name, 0.25))
-    for said in _faults(told):
-        for who in said.who:
+    for fault in _faults(events):
+        for who in fault.who:
             if who in history.vehicles and who not in first:
-                name = f"{fault_in(said.words)}, {said.t:.1f} s"
-                found.append(Point(*_place(history, who, said.t), 0, "fault", name, 0.25))
+                name = f"{fault_in(fault.words)}, {fault.t:.1f} s"
+                found.append(Point(*_place(history, who, fault.t), 0, "fault", name, 0.25))
     return found
 
 

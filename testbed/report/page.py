@@ -65,8 +65,8 @@ def write_report(
 
     `changed` are changes of a fork that its experiment does not tell.
     """
-    told = lines(scenario, history, metrics.touches)
-    charts = figures(scenario, history, metrics.touches, told)
+    events = lines(scenario, history, metrics.touches)
+    charts = figures(scenario, history, metrics.touches, events)
     if original is not None:
         charts = with_original(charts, figures(scenario, original.history), original)
     drawn = {chart.key: draw(chart) for chart in charts}
@@ -77,7 +77,7 @@ def write_report(
         for chart in charts:
             paths.append(drawings / f"{chart.key}.svg")
             paths[-1].write_text(alone(chart, drawn[chart.key]), encoding="utf-8")
-        text = render(scenario, history, metrics, config, charts, drawn, told, changed)
+        text = render(scenario, history, metrics, config, charts, drawn, events, changed)
         paths[0].write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(
@@ -89,7 +89,7 @@ def write_report(
 
 def render(
     scenario: Experiment, history: History, metrics: Metrics, config: str,
-    charts: Sequence[Chart], drawn: Mapping[str, str], told: Sequence[EventLine],
+    charts: Sequence[Chart], drawn: Mapping[str, str], events: Sequence[EventLine],
     changed: Sequence[str] = (),
 ) -> str:  # fmt: skip
     """The page as HTML; `drawn` are the drawings of the charts, by their keys."""
@@ -105,14 +105,14 @@ def render(
     failed = verdict(scenario, metrics).look == "fault"  # then the picture comes first
     sections = [
         _header(scenario, metrics),
-        *((*pictures, happened(told), *summary) if failed
-          else (*summary, *pictures, happened(told))),
+        *((*pictures, happened(events), *summary) if failed
+          else (*summary, *pictures, happened(events))),
         _criteria(scenario, metrics),
         _results(scenario, metrics), jets_table(metrics),
         "<h2>Figures</h2>", _figures(scenario, later, drawn),
         timing(metrics),
         provenance(metrics, config),
-        bar(flight_data(scenario, history, told)),
+        bar(flight_data(scenario, history, events)),
     ]  # fmt: skip
     return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections), script=SCRIPT)
 

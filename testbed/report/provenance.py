@@ -34,16 +34,16 @@ def timing(metrics: Metrics) -> str:
     late, half, most = (
         metrics.lateness_p99_ms, metrics.pose_to_valve_p50_ms, metrics.pose_to_valve_p99_ms
     )  # fmt: skip
-    said = []
+    sentences = []
     if late is not None:
-        said.append(f"99 % of the ticks began at most {late:.2f} ms late")
+        sentences.append(f"99 % of the ticks began at most {late:.2f} ms late")
     if half is not None and most is not None:
-        said.append(f"pose to valve took {half:.2f} ms in the median, {most:.2f} ms in 99 %")
+        sentences.append(f"pose to valve took {half:.2f} ms in the median, {most:.2f} ms in 99 %")
     if (c := metrics.commands) is not None:
-        said.append(
+        sentences.append(
             f"of {c.sent} setpoints {c.late} came late, {c.expired} expired, {c.rejected} rejected"
         )
-    return f"<h2>Timing</h2><p>{sentence(said)}</p>" if said else ""
+    return f"<h2>Timing</h2><p>{sentence(sentences)}</p>" if sentences else ""
 
 
 def sentence(pieces: list[str]) -> str:

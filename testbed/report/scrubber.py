@@ -26,8 +26,8 @@ def flight_data(
     period = scenario.flight.jet_period_s
     end = max(history.end + period, 1e-3)  # the plan of the last tick lasts a period
     step = max(period, end / SAMPLES)
-    told = [one for one in events if one.t >= 0.0]
-    bad = [one.t for one in told if one.level == "CRITICAL"]
+    label = [one for one in events if one.t >= 0.0]
+    bad = [one.t for one in label if one.level == "CRITICAL"]
     return {
         "end": round(end, 3), "step": step,
         "first": round(min(bad), 2) if bad else round(end, 3),  # shown when the page opens
@@ -40,7 +40,7 @@ def flight_data(
         "events": [
             [round(min(one.t, end), 2), one.level,
              "" if one.who == (SUPERVISOR,) else ", ".join(one.who), one.words[:LONGEST]]
-            for one in told
+            for one in label
         ],
         "vehicles": [
             vehicle_data(scenario, history, name, k, step)
@@ -118,8 +118,8 @@ def bar(data: dict[str, Any]) -> str:
 
 def _tick(end: float, t: float, level: str, who: str, words: str) -> str:
     """A button at the time of an event."""
-    told, share = escape(f"{t:.1f} s {who}: {words}"), min(1.0, max(0.0, t / end))
+    label, share = escape(f"{t:.1f} s {who}: {words}"), min(1.0, max(0.0, t / end))
     return (
-        f'<button class="tick {level}" data-t="{t}" style="--at:{share:.4f}" title="{told}"'
-        f' aria-label="{told}"></button>'
+        f'<button class="tick {level}" data-t="{t}" style="--at:{share:.4f}" title="{label}"'
+        f' aria-label="{label}"></button>'
     )

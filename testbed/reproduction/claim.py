@@ -289,12 +289,12 @@ class VerdictCounts(Struct, frozen=True):
 
     def __str__(self) -> str:
         """Claim, measured value and verdict in one line."""
-        said = ", ".join(f"{n} {kind}" for kind, n in self.claims.items())
+        text = ", ".join(f"{n} {kind}" for kind, n in self.claims.items())
         total, checks = sum(self.claims.values()), sum(self.input_checks.values())
         failed = checks - self.input_checks["passed"]
         beside = f"{failed} of them failed" if failed else "all passed"
         apart = f"; {checks} input checks, {beside}" if checks else ""
-        return f"{total} claims: {said}{apart}"
+        return f"{total} claims: {text}{apart}"
 
 
 def counts(rows: Iterable[ClaimRow]) -> VerdictCounts:

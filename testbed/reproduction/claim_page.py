@@ -61,8 +61,8 @@ def write_pages(folder: Path, audit: Mapping[str, Audited]) -> Path:
             near = [one.rows[n].id for n in (k - 1, k + 1) if 0 <= n < len(one.rows)]
             again = row.claim.startswith(AGAIN)
             title = title if again else row.claim
-            said = f"{title}: {row.claim}" if again else row.claim
-            text = _of_claim(key, one, claims[row.id], row, near, said)
+            words = f"{title}: {row.claim}" if again else row.claim
+            text = _of_claim(key, one, claims[row.id], row, near, words)
             (folder / f"{row.id}.html").write_text(text, encoding="utf-8")
     return index
 
@@ -142,14 +142,14 @@ def _line(name: str, words: str) -> str:
 
 
 def _facts(key: str, claim: Claim, row: ClaimRow) -> Iterator[str]:
-    said = claimed(row).replace("<= ", SIGNS["at most"]).replace(">= ", SIGNS["at least"])
-    yield _line("the paper", escape(said))
+    text = claimed(row).replace("<= ", SIGNS["at most"]).replace(">= ", SIGNS["at least"])
+    yield _line("the paper", escape(text))
     if claim.untestable is not None:
         yield _line("cannot be tested", escape(claim.untestable))
         return
     limit = f"{SIGNS[claim.must]}{limit_of(claim):.6g} {claim.unit}".rstrip()
     slack = f", tolerance {claim.tolerance:g} {claim.unit}".rstrip() if claim.tolerance else ""
-    if limit + slack != said:
+    if limit + slack != text:
         yield _line("limit", escape(limit + slack))
     seeds = f"the worst of {row.seeds} seeds" if row.seeds > 1 else "one run"
     quick = ", quick: fewer seeds, coarser steps" * row.quick

@@ -39,8 +39,8 @@ def points(figure: Figure, run: str, claims: Sequence[Claim]) -> list[Mark]:
     for claim in claims:
         x = _place(figure, claim)
         if claim.run == run and claim.over is None and x is not None:
-            said = f"{claim.source}: {claim.claim}, {claim.paper:g} {claim.unit}".rstrip()
-            found.append(Mark(x, float(claim.paper), said, case=DIAMOND, style="paper", radius=5))
+            text = f"{claim.source}: {claim.claim}, {claim.paper:g} {claim.unit}".rstrip()
+            found.append(Mark(x, float(claim.paper), text, case=DIAMOND, style="paper", radius=5))
     return found
 
 

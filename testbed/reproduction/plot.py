@@ -33,13 +33,13 @@ def chart_of(
     if figure.dots:
         half = 0.52 * max(x_range[1] - x_range[0], y_range[1] - y_range[0])
         x_range, y_range = ((0.5 * sum(r) - half, 0.5 * sum(r) + half) for r in (x_range, y_range))
-    said = [note, *(words for words, some in (
+    notes = [note, *(words for words, some in (
         ("Dashed red circles: danger radii.", figure.circles),
         ("Dashed red lines: their paths; they are drawn where they end.", figure.ways),
         ("Dashed grey: the curve to form.", figure.shapes)) if some)]  # fmt: skip
     return Chart(key, f"{title}: {figure.name}", figure.x, figure.y, [*items, *more], x_range,
                  y_range if figure.dots else None, log=figure.log, equal=figure.dots,
-                 height=HEIGHT, note=" ".join(filter(None, said)))  # fmt: skip
+                 height=HEIGHT, note=" ".join(filter(None, notes)))  # fmt: skip
 
 
 def _span(values: list[np.ndarray]) -> tuple[float, float]:

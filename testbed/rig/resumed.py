@@ -28,7 +28,7 @@ from testbed.flight.loop import Chain, VehicleNode
 from testbed.rig.twin import TwinRig, make_twin
 
 History = Mapping[str, list[Tick]]
-Told = Mapping[str, list[HostTick]]
+HostTicks = Mapping[str, list[HostTick]]
 
 
 def make_resumed(ticks: Iterable[tuple[str, Tick | HostTick]], experiment: Experiment) -> TwinRig:
@@ -61,8 +61,8 @@ def _node(history: History, period: float, twin: Twin, name: str, chain: Chain) 
     return ResumedNode(name, chain, ports, ports, ports, ports.vitals)
 
 
-def _link(told: Told, period: float, twin: Twin, name: str) -> HostLink:
-    return ResumedHost(twin, name, told[name], period)
+def _link(ticks: HostTicks, period: float, twin: Twin, name: str) -> HostLink:
+    return ResumedHost(twin, name, ticks[name], period)
 
 
 class ResumedNode(VehicleNode):

@@ -81,8 +81,8 @@ class CameraVideo:
             self._ffmpeg, "-nostdin", "-loglevel", "error", "-i", str(self._path), "-vf",
             f"fps={RATE:g},scale={width}:{height}", "-f", "rawvideo", "-pix_fmt", "rgb24", "-",
         ]  # fmt: skip
-        with tempfile.TemporaryFile() as said:
-            reader = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said)
+        with tempfile.TemporaryFile() as stderr:
+            reader = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr)
             assert reader.stdout is not None
             count = 0
             try:
@@ -91,8 +91,8 @@ class CameraVideo:
                     yield count / RATE, picture, (count + 1) / RATE
                     count += 1
                 if reader.wait() or not count:
-                    said.seek(0)
-                    raise _unreadable(self._path, said.read().decode(errors="replace").strip())
+                    stderr.seek(0)
+                    raise _unreadable(self._path, stderr.read().decode(errors="replace").strip())
             finally:
                 reader.kill()
                 reader.wait()

@@ -66,7 +66,7 @@ class Flown(Struct, frozen=True):
 
 
 def drill_wires(
-    count: int, seed: int, say: Callable[[str], None], name: str = EXPERIMENT
+    count: int, seed: int, notify: Callable[[str], None], name: str = EXPERIMENT
 ) -> Iterator[Drilled]:
     """Fly all cases in sequence, because a bench needs the whole machine."""
     warm_up(shipped(name))  # compiles once, before four processes would
@@ -74,9 +74,9 @@ def drill_wires(
         try:
             judged = case(number, seed, name)
         except DrillError as error:  # try again: a flight that did not begin tests nothing
-            say(f"case {number}: {error}")
+            notify(f"case {number}: {error}")
             judged = case(number, seed, name)
-        say(f"{number}: {msgspec.json.encode(judged).decode()}")
+        notify(f"{number}: {msgspec.json.encode(judged).decode()}")
         yield judged
 
 

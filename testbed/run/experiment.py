@@ -68,10 +68,12 @@ def told_by(where: str) -> Iterator[None]:
     try:
         yield
     except config.ConfigError as error:
-        told = re.sub(r"(^|(?<= with ))command line", lambda found: where, error.where)
-        if told == error.where:
+        place = re.sub(r"(^|(?<= with ))command line", lambda found: where, error.where)
+        if place == error.where:
             raise
-        raise config.ConfigError(told, error.key, error.expected, error.found, error.hint) from None
+        raise config.ConfigError(
+            place, error.key, error.expected, error.found, error.hint
+        ) from None
 
 
 def texts_of(where: str, changes: Mapping[str, Any] | None, more: Mapping[str, Any]) -> list[str]:

@@ -50,8 +50,8 @@ def make_film(
                         " `apt install ffmpeg`, or choose .gif", found="none")  # fmt: skip
     log, experiment = log_of(run), load(config_of(run))
     history, metrics, _ = recorded(log, experiment, warn)
-    told = lines(experiment, history, metrics.touches)
-    film = Film(experiment, history, told, width - width % 2)
+    events = lines(experiment, history, metrics.touches)
+    film = Film(experiment, history, events, width - width % 2)
     times = film.times(speed or max(1.0, film.end / LENGTH_S), RATE)
     frames, size = film.frames(times), film.size
     samples: list[Any] = []
@@ -84,8 +84,8 @@ def _mp4(ffmpeg: str, frames: Iterator[Any], size: tuple[int, int], path: Path) 
         "-s", f"{size[0]}x{size[1]}", "-r", f"{RATE:g}", "-i", "-", "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", str(path),
     ]  # fmt: skip
-    with tempfile.TemporaryFile() as said:
-        writer = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
+    with tempfile.TemporaryFile() as stderr:
+        writer = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=stderr)
         assert writer.stdin is not None
         with suppress(BrokenPipeError):  # it says why on its standard error
             for one in frames:
@@ -93,6 +93,6 @@ def _mp4(ffmpeg: str, frames: Iterator[Any], size: tuple[int, int], path: Path) 
         with suppress(BrokenPipeError):
             writer.stdin.close()
         if writer.wait():
-            said.seek(0)
+            stderr.seek(0)
             raise FilmError(where=str(path), expected="ffmpeg to write it",
-                            found=said.read().decode(errors="replace").strip())  # fmt: skip
+                            found=stderr.read().decode(errors="replace").strip())  # fmt: skip

@@ -236,5 +236,7 @@ def _columns(vehicle: VehicleHistory, true_t: Array) -> Vehicle:
 def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
     """Read the files of a run; `folder` is what `Run.folder` reports."""
     log = log_of(files)
-    history, metrics, said = recorded(log, experiment)
-    return Run(experiment, metrics, history, folder, tuple(said), None if folder is None else log)
+    history, metrics, missing = recorded(log, experiment)
+    return Run(
+        experiment, metrics, history, folder, tuple(missing), None if folder is None else log
+    )

@@ -61,7 +61,7 @@ class FlightScreen(NullObserver):
     def flies(self) -> None:
         """The code is compiled and the flight begins."""
 
-    def say(self, line: str) -> None:
+    def warn(self, line: str) -> None:
         """Print a line for the operator."""
 
 
@@ -146,7 +146,7 @@ class FlightLog:
         if self.trouble is None:
             try:
                 for line in self._recorder.mark(t):
-                    self._screen.say(line)
+                    self._screen.warn(line)
             except RecorderError as error:
                 self.trouble = str(error)
 

@@ -11,7 +11,7 @@ SLACK_S = 0.25  # the last message of a whole log is at most this long before it
 
 def lacks(book: LogReader) -> list[str]:
     """A line for each damaged place of a log that was read, and one if its end is missing."""
-    return [*book.said(), *_end(book)]
+    return [*book.missing(), *_end(book)]
 
 
 def is_whole(book: LogReader) -> bool:

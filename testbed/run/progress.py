@@ -29,7 +29,7 @@ class Progress(FlightScreen):
         if t >= self._duration - 1e-6:
             sys.stderr.write("\n")
 
-    def say(self, line: str) -> None:
+    def warn(self, line: str) -> None:
         """See `FlightScreen`."""
         sys.stderr.write(f"\n{line}\n")
 

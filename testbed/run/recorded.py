@@ -26,7 +26,7 @@ class Recorded(NamedTuple):
 
     history: History
     metrics: Metrics
-    said: list[str]  # a line for each part of the log that is missing
+    missing: list[str]  # a line for each part of the log that is missing
 
 
 def recorded(
@@ -45,19 +45,19 @@ def recorded(
     """
     book = LogReader(log)
     history = gather(book)
-    said = lacks(book)
-    warn(said)
+    missing = lacks(book)
+    warn(missing)
     _check_vehicles(log, history.vehicles, experiment.vehicles)
     if not history.vehicles and _has_flown(metrics_of(log.parent)):
         raise LogError(
             where=str(log), expected="the ticks of a flight",
-            found="there are no ticks in the log", hint="; ".join(said),
+            found="there are no ticks in the log", hint="; ".join(missing),
         )  # fmt: skip
     metrics = judged(log.parent, log, experiment, history)
     _check_vehicles(log.parent / "metrics.json", metrics.vehicles, experiment.vehicles)
     check_flight(book, metrics)
     _check_experiment(log.parent / "config.toml", metrics, (experiment.name, experiment.seed))
-    return Recorded(history, metrics, said)
+    return Recorded(history, metrics, missing)
 
 
 def check_files(log: Path) -> None:

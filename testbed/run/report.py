@@ -31,14 +31,14 @@ def write_page(
     folder: Path, scenario: Experiment, warn: Callable[[list[str]], None] = lambda lines: None
 ) -> list[Path]:
     """Write the page for a loaded experiment, so that no law's file is executed."""
-    history, metrics, said = recorded(log_of(folder), scenario, warn)
+    history, metrics, missing = recorded(log_of(folder), scenario, warn)
     note, original, changed = read_origin(folder), None, []
     if note is not None:
-        original, missing = drawn_original(folder, note, history)
-        warn(missing)
-        said, changed = [*said, *missing], note.whole
+        original, unread = drawn_original(folder, note, history)
+        warn(unread)
+        missing, changed = [*missing, *unread], note.whole
     # the page may be read elsewhere: its files are named without their folder
-    concerns = [Concern("missing", line.replace(f"{folder}/", "")) for line in said]
+    concerns = [Concern("missing", line.replace(f"{folder}/", "")) for line in missing]
     metrics = replace(metrics, warnings=[*metrics.warnings, *concerns])
     text = (folder / "config.toml").read_text(encoding="utf-8")
     return write_report(folder, scenario, history, metrics, text, original, changed)

@@ -145,7 +145,7 @@ class Twin:
         for name, tick in ticks.items():
             for other, link in self._links.items():
                 if other != name and tick.outputs.state is not None:
-                    link.heard[name] = tick.outputs.state
+                    link.neighbour_states[name] = tick.outputs.state
         self._k += 1
         self.t = self._k * self.period
         self._table.wait_until(self.t)
@@ -216,13 +216,13 @@ class _Link:
 
     def __init__(self) -> None:
         self.asked: Setpoint | None = None
-        self.heard: dict[str, State] = {}
+        self.neighbour_states: dict[str, State] = {}
 
     def setpoint(self) -> Setpoint | None:
         return self.asked
 
     def neighbours(self) -> dict[str, State]:
-        return dict(self.heard)
+        return dict(self.neighbour_states)
 
     def publish(self, state: State) -> None:
         return

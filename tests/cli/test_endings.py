@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from testbed.cli.exit_code import OK
 from testbed.cli.replay import replay_run
-from testbed.cli.run import run_experiment
+from testbed.cli.run import RunOptions, run_experiment
 from testbed.config import find, load
 from testbed.logs.log_reader import LogReader
 from testbed.rig.observers import NullObserver
@@ -210,13 +210,17 @@ def test_what_is_measured_of_the_flight_does_not_know_of_its_ending(tmp_path):
 
 
 def test_the_run_says_how_the_vehicles_were_left(tmp_path, capsys):
-    code = run_experiment("hold", ["duration_s=2", "criteria={}"], tmp_path / "a", as_json=True)
+    code = run_experiment(
+        "hold", ["duration_s=2", "criteria={}"], RunOptions(out=tmp_path / "a", as_json=True)
+    )
     assert code == OK
     after = json.loads(capsys.readouterr().out)["after"]
     assert (after["contacts"], after["air"]) == (0, "off")
     assert after["at_rest_s"] < 1.0
     assert json.loads((tmp_path / "a" / "metrics.json").read_text())["after"] == after
-    run_experiment("hold", ["duration_s=2", "criteria={}"], tmp_path / "b", as_json=False)
+    run_experiment(
+        "hold", ["duration_s=2", "criteria={}"], RunOptions(out=tmp_path / "b", as_json=False)
+    )
     assert f"sat1: at rest after {after['at_rest_s']:.1f} s, bearing air off" in (
         capsys.readouterr().out
     )
@@ -224,7 +228,10 @@ def test_the_run_says_how_the_vehicles_were_left(tmp_path, capsys):
 
 def test_the_ending_is_replayed_like_the_flight(tmp_path):
     overrides = ["duration_s=6", "criteria={}"]
-    assert run_experiment("zhang2023_table", overrides, tmp_path / "a", as_json=True) == OK
+    assert (
+        run_experiment("zhang2023_table", overrides, RunOptions(out=tmp_path / "a", as_json=True))
+        == OK
+    )
     assert replay_run(tmp_path / "a", [], as_json=False) == OK
 
 

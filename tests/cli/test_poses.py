@@ -107,7 +107,7 @@ def speak(session, over):
     )
     while not over.wait(0.02):
         now = monotonic_ns()
-        publisher.say(encode_poses(1, now, now, {"sat1": (*x.position, *x.rotation)}))
+        publisher.send(encode_poses(1, now, now, {"sat1": (*x.position, *x.rotation)}))
 
 
 @pytest.mark.parametrize("host", [True, False])

@@ -97,13 +97,15 @@ def test_text_folds_and_numbers_do_not(capsys, monkeypatch):
 
 def test_a_sentence_folds_between_words_below_its_beginning(capsys):
     path, words = "/a/path/that/is/wider/than/the/terminal/config.toml", "takes 1500 jet periods "
-    screen.say(Console(force_terminal=True, color_system=None, width=40), f"  {path} {3 * words}")
+    screen.print_text(
+        Console(force_terminal=True, color_system=None, width=40), f"  {path} {3 * words}"
+    )
     first, *rest = capsys.readouterr().out.splitlines()
     assert first == f"  {path}"
     assert [line.strip() for line in rest] == ["takes 1500 jet periods takes 1500",
                                                "jet periods takes 1500 jet periods"]  # fmt: skip
     assert all(line.startswith("    ") and len(line) <= 40 for line in rest)
-    screen.say(Console(), f"  {path} {3 * words}")  # of a file or a pipe
+    screen.print_text(Console(), f"  {path} {3 * words}")  # of a file or a pipe
     assert len(capsys.readouterr().out.splitlines()) == 1
 
 

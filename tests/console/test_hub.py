@@ -48,7 +48,7 @@ def test_the_age_is_of_the_newest_message_not_of_the_status(monkeypatch):
     assert get(hub, -1)["age"] is None
     put(hub, 1)
     now[0] += 55.0
-    hub.say(stop={"words": "", "ready": True})
+    hub.set_status(stop={"words": "", "ready": True})
     answer = get(hub, 1)
     assert answer["age"] == 55.0
     assert answer["stop"]["ready"]

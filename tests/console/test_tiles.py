@@ -104,7 +104,7 @@ def test_a_fault_names_its_vehicle_and_what_it_says(experiment):
     assert (car["level"], car["culprit"]) == ("bad", True)
     assert car["state"].startswith("FAULT: valve stuck open")
     assert picture.now()["head"].startswith("FAULT sat2: valve stuck open")
-    assert [one.level for one in picture.said if "fault" in one.words] == ["CRITICAL"]
+    assert [one.level for one in picture.events if "fault" in one.words] == ["CRITICAL"]
 
 
 def test_a_vehicle_that_tells_nothing_is_silent(experiment):

@@ -67,7 +67,7 @@ def test_nothing_a_board_says_breaks_the_session(limits, seed):
     for number in range(CHUNKS // 3):
         now += int(rng.integers(20_000))
         data = chunk(rng)
-        reports.hear(data, now)
+        reports.receive(data, now)
         try:
             taken += len(session.receive(data, now))
         except SessionError:  # another version, or other limits

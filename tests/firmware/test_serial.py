@@ -260,8 +260,8 @@ def status(t_us):
 
 def test_the_boards_clock_is_carried_over_its_wrap():
     reports = Reports()
-    reports.hear(status((1 << 32) - 30_000), 1_000_000)
-    reports.hear(status(20_000), 1_050_000)
+    reports.receive(status((1 << 32) - 30_000), 1_000_000)
+    reports.receive(status(20_000), 1_050_000)
     assert reports.board_us == (1 << 32) + 20_000
     assert reports.now_us(1_060_000) == (1 << 32) + 30_000
 
@@ -269,8 +269,8 @@ def test_the_boards_clock_is_carried_over_its_wrap():
 @pytest.mark.parametrize("t_us", [500, 2_000_000_000])
 def test_a_clock_that_jumps_is_that_of_another_boot(t_us):
     reports = Reports()
-    reports.hear(status(40_000_000), 0)
-    reports.hear(status(t_us), 50_000)
+    reports.receive(status(40_000_000), 0)
+    reports.receive(status(t_us), 50_000)
     assert reports.board_us == t_us
 
 
@@ -279,12 +279,12 @@ def test_edges_that_are_not_taken_do_not_pile_up(monkeypatch):
     reports = Reports()
     for t in range(1, 9):
         frame = Edges(1, (t,) + (0,) * 7, (t & 1,) + (0,) * 7)
-        reports.hear(encode_message(frame, t, t), 0)
+        reports.receive(encode_message(frame, t, t), 0)
     assert reports.take_edges() == [(t, t & 1) for t in range(4, 9)]
     assert reports.take_edges() == []
 
 
 def test_frames_of_the_other_side_are_ignored():
     reports = Reports()
-    reports.hear(encode(Frame(99, 1, 5, b"")) + encode(Frame(HelloAck.CODE, 1, 6, b"short")), 0)
+    reports.receive(encode(Frame(99, 1, 5, b"")) + encode(Frame(HelloAck.CODE, 1, 6, b"short")), 0)
     assert reports.board_us == 6

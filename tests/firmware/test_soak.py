@@ -40,7 +40,7 @@ class FirstFaultObserver:
         self.fed_us = None  # newest ARM, or plan accepted
         self.open_us = 0
 
-    def hear(self, message):
+    def receive(self, message):
         accepted = isinstance(message, Ack) and message.result in (Result.OK, Result.REFRESHED)
         if accepted and message.type in (Cmd.CODE, Arm.CODE):
             self.fed_us = message.t2_us
@@ -102,7 +102,7 @@ def soak(board, limits, minutes):
         for frame in decoder.feed(board.read()):
             if frame.type == HelloAck.CODE:
                 session = frame.message.session
-            witness.hear(frame.message)
+            witness.receive(frame.message)
         for edge in edges:
             witness.see(edge)
         witness.look(board.now_us)

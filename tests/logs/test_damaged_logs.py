@@ -99,7 +99,7 @@ def test_every_chunk_that_is_untouched_is_read_and_every_loss_is_said(tmp_path, 
         names_lost = copy[table[0][0] : table[0][1]] != content[table[0][0] : table[0][1]]
         if not (names_lost and copy[-8:] != MAGIC):
             assert found == whole
-        assert book.lost == bool(book.said() and len(found) < COUNT)
+        assert book.lost == bool(book.missing() and len(found) < COUNT)
         assert book.lost == (len(found) < COUNT)
 
 
@@ -116,14 +116,14 @@ def test_every_chunk_that_is_untouched_is_read_and_every_loss_is_said(tmp_path, 
 def test_damage_after_the_last_message_is_said(tmp_path, content, spoil):
     book, found = read(tmp_path, spoil(content))
     assert (len(found), book.lost, book.complete()) == (COUNT, False, False)
-    (said,) = book.said()
+    (said,) = book.missing()
     assert said.endswith(": nothing of the flight is missing")
 
 
 def test_a_whole_log_has_no_damage(tmp_path, content):
     book, found = read(tmp_path, content)
     assert found == [k * 10**7 for k in range(COUNT)]
-    assert (book.finished, book.lost, book.said(), book.complete()) == (True, False, [], True)
+    assert (book.finished, book.lost, book.missing(), book.complete()) == (True, False, [], True)
 
 
 def test_place_time_and_number_of_what_is_missing_are_said(tmp_path, content):
@@ -131,7 +131,7 @@ def test_place_time_and_number_of_what_is_missing_are_said(tmp_path, content):
     book, found = read(tmp_path, flipped(content, b - 5, 0x10))
     assert stamps[0] == 400_000_000
     assert len(found) == COUNT - 4
-    assert book.said() == [
+    assert book.missing() == [
         f"{tmp_path / 'log.mcap'} is damaged at byte {a}: "
         "0.05 s of flight (0.39 s to 0.44 s) are missing, 4 messages"
     ]
@@ -152,7 +152,7 @@ def test_after_a_power_loss_what_was_written_before_is_read(tmp_path, content):
     book, found = read(tmp_path, zeroed(content, a, len(content)))
     assert found[-1] == stamps[0] - 10**7
     assert not book.finished
-    assert book.said()[0].endswith(f"byte {a}: the flight after 1.19 s is missing")
+    assert book.missing()[0].endswith(f"byte {a}: the flight after 1.19 s is missing")
 
 
 def test_the_last_chunk_is_missed_by_the_file_s_own_count(tmp_path, content):
@@ -160,7 +160,7 @@ def test_the_last_chunk_is_missed_by_the_file_s_own_count(tmp_path, content):
     book, found = read(tmp_path, flipped(content, a + 4, 0x40))  # a length of a gigabyte
     assert found[-1] == stamps[0] - 10**7
     assert book.finished
-    assert "(1.95 s to 1.99 s) are missing, 4 messages" in book.said()[0]
+    assert "(1.95 s to 1.99 s) are missing, 4 messages" in book.missing()[0]
 
 
 def test_names_that_are_lost_are_taken_from_the_end_of_the_file(tmp_path, content):
@@ -169,8 +169,8 @@ def test_names_that_are_lost_are_taken_from_the_end_of_the_file(tmp_path, conten
     book, found = read(tmp_path, hurt)
     assert len(found) == COUNT - 4
     assert book.kinds == {"/sat1/pace": "Pace", "/truth": "Truth"}
-    assert "damaged at byte 0: 0.04 s" in book.said()[0]
-    assert book.said()[0].endswith("4 messages")
+    assert "damaged at byte 0: 0.04 s" in book.missing()[0]
+    assert book.missing()[0].endswith("4 messages")
 
 
 def test_names_that_are_nowhere_are_said_with_what_they_cost(tmp_path, content):
@@ -179,7 +179,7 @@ def test_names_that_are_nowhere_are_said_with_what_they_cost(tmp_path, content):
     book, found = read(tmp_path, zeroed(content, a, b)[:cut])
     assert found == []
     assert book.lost
-    assert "because the names of their topics are in a damaged part" in book.said()[-1]
+    assert "because the names of their topics are in a damaged part" in book.missing()[-1]
 
 
 def test_a_schema_that_is_lost_is_known_by_the_name_of_its_topic(tmp_path):
@@ -197,7 +197,7 @@ def test_damage_between_chunks_costs_nothing(tmp_path, content):
             assert len(found) == COUNT
             assert book.finished
             assert not book.lost
-            assert all("nothing of the flight is missing" in line for line in book.said())
+            assert all("nothing of the flight is missing" in line for line in book.missing())
         break
 
 
@@ -206,7 +206,7 @@ def test_a_chunk_that_is_missing_without_a_trace_is_missed(tmp_path, content):
     a, b = table[7][0], table[8][0]
     book, found = read(tmp_path, content[:a] + content[b:])
     assert len(found) == COUNT - 4
-    assert book.said()[0].endswith("(0.27 s to 0.32 s) are missing, 4 messages")
+    assert book.missing()[0].endswith("(0.27 s to 0.32 s) are missing, 4 messages")
 
 
 def test_a_replay_ends_where_the_damage_begins(tmp_path, content):
@@ -225,7 +225,7 @@ def test_a_small_file_cut_off_at_any_byte(tmp_path, content):
         book, found = read(tmp_path, content[:length])
         assert found == [k * 10**7 for k in range(len(found))]
         assert not book.finished
-        assert book.said() == []
+        assert book.missing() == []
 
 
 def test_a_log_that_grows_behind_damage_is_read_on(tmp_path, content):
@@ -235,13 +235,13 @@ def test_a_log_that_grows_behind_damage_is_read_on(tmp_path, content):
     path.write_bytes(hurt[: table[10][1]])
     book = LogReader(path)
     assert len(list(book.read())) == 40
-    assert len(book.said()) == 1
+    assert len(book.missing()) == 1
     path.write_bytes(hurt[: table[12][1]])
     assert [row.stamp for row in book.read()] == [k * 10**7 for k in range(44, 52)]
     path.write_bytes(hurt)
     assert len(list(book.read())) == COUNT - 52
     assert book.finished
-    assert "0.05 s of flight" in "".join(book.said())
+    assert "0.05 s of flight" in "".join(book.missing())
 
 
 # Made by hand
@@ -287,19 +287,19 @@ END = rec(15, bytes(4)) + rec(2, bytes(20)) + MAGIC
 @pytest.mark.parametrize("compression", ["zstd", ""])
 def test_a_chunk_made_by_hand_is_read(tmp_path, compression):
     book, found = read(tmp_path, MAGIC + header() + packed(GOOD, compression=compression) + END)
-    assert (found, book.complete(), book.said()) == ([1], True, [])
+    assert (found, book.complete(), book.missing()) == ([1], True, [])
 
 
 def test_a_log_of_other_software_need_not_be_numbered(tmp_path):
     first, second = packed(names() + message(7)), packed(message(7))
     book, found = read(tmp_path, MAGIC + header("mcap-go") + first + second + END)
-    assert (found, book.said()) == ([7, 7], [])
+    assert (found, book.missing()) == ([7, 7], [])
 
 
 @pytest.mark.parametrize("content", [b"", MAGIC[:3], MAGIC, MAGIC + header(), MAGIC + END])
 def test_an_empty_log_is_a_log(tmp_path, content):
     book, found = read(tmp_path, content)
-    assert (found, book.said()) == ([], [])
+    assert (found, book.missing()) == ([], [])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -352,8 +352,8 @@ LIES = {
 def test_a_chunk_that_lies_is_passed_over_as_a_whole(tmp_path, lie):
     book, found = read(tmp_path, MAGIC + header() + lie + packed(names() + message(2)) + END)
     assert found == [2]
-    assert f"damaged at byte {len(MAGIC + header())}" in book.said()[0]
-    assert book.said()[0].endswith("are missing, 1 message")
+    assert f"damaged at byte {len(MAGIC + header())}" in book.missing()[0]
+    assert book.missing()[0].endswith("are missing, 1 message")
 
 
 def test_a_file_full_of_what_looks_like_chunks_is_given_up(tmp_path):
@@ -366,5 +366,5 @@ def test_many_places_are_said_in_few_lines(tmp_path):
     parts = [packed(names() + message(1)), *(packed(message(2 * k + 1)) for k in range(1, 60))]
     book, found = read(tmp_path, MAGIC + header() + b"\0".join(parts) + END)
     assert len(found) == 60
-    assert len(book.said()) == 11
-    assert book.said()[-1].endswith("is damaged in 49 more places")
+    assert len(book.missing()) == 11
+    assert book.missing()[-1].endswith("is damaged in 49 more places")

@@ -154,7 +154,7 @@ def test_damage_is_said(tmp_path):
     book = LogReader(path)
     found = [row.stamp for row in book.read()]
     assert found == [j * 10**7 for j in range(100 - len(found), 100)]
-    assert "damaged at byte" in book.said()[0]
+    assert "damaged at byte" in book.missing()[0]
 
 
 # The disk

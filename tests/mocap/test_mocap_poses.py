@@ -73,7 +73,7 @@ def test_the_newest_poses_of_reference_bodies_come_once_and_in_the_frame_of_the_
 
 def test_the_quickest_exchange_tells_the_clock():
     clock = ClockOffset()
-    clock.heard(1_000_000, 400)
+    clock.received(1_000_000, 400)
     assert clock.best.delay_ns == -1
     clock.exchanged(100, 5_200, 400)  # 250 is the middle
     clock.exchanged(1_000, 6_100, 1_100)

@@ -89,7 +89,9 @@ class Commanded:
 
     def nothing(self):
         words = {
-            data for subscriber in (self.setpoints, self.leases) for _, data in subscriber.heard()
+            data
+            for subscriber in (self.setpoints, self.leases)
+            for _, data in subscriber.received()
         }
         return (
             self.commands.starts.empty() and self.commands.stop_reason is None and self.shut == 0
@@ -124,8 +126,8 @@ class LabOnLoopback:
             publisher, heard = Publisher(self.host, key), []
 
             def again(publisher=publisher, subscriber=subscriber, heard=heard):
-                publisher.say(LATER)
-                heard.extend(data for _, data in subscriber.heard())
+                publisher.send(LATER)
+                heard.extend(data for _, data in subscriber.received())
                 return LATER in heard
 
             wait_for(again)
@@ -236,8 +238,8 @@ def test_no_other_party_speaks_for_a_vehicle(rig):
     heard = []
 
     def said():
-        own.say(b"sat1")
-        heard.extend(data for _, data in subscriber.heard())
+        own.send(b"sat1")
+        heard.extend(data for _, data in subscriber.received())
         return heard
 
     wait_for(said)
@@ -269,15 +271,15 @@ def test_a_watcher_watches_what_may_be_watched(rig):
     heard = []
 
     def all_seen():
-        setpoint.say(b"a command")
+        setpoint.send(b"a command")
         for word, publisher in mouths.items():
-            publisher.say(b"a word")
-            got[word] += len(seen[word].heard())
-        heard.extend(told.setpoints.heard())
+            publisher.send(b"a word")
+            got[word] += len(seen[word].received())
+        heard.extend(told.setpoints.received())
         return all(got.values()) and heard
 
     wait_for(all_seen)
-    told_of = {data for subscriber in hidden.values() for _, data in subscriber.heard()}
+    told_of = {data for subscriber in hidden.values() for _, data in subscriber.received()}
     assert told_of <= {b"a word"}  # its own session passes on to ** what it may hear
     assert ask(screen, KEYS.experiment) == b"an experiment"
     with pytest.raises(NetworkError):

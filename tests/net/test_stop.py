@@ -83,7 +83,7 @@ def test_a_note_is_there_for_as_long_as_the_flight(here):
 def refused(here, capsys) -> str:
     """Neither written nor read: what is said of both."""
     said = []
-    with noted("tcp/127.0.0.1:1", "lab", say=said.append):
+    with noted("tcp/127.0.0.1:1", "lab", warn=said.append):
         pass
     assert len(said) == 1
     assert said[0].startswith("warning: no note for `testbed stop`: ")
@@ -120,7 +120,7 @@ def test_a_note_that_cannot_be_written_is_said_and_the_flight_goes_on(here, monk
 
     monkeypatch.setattr(flight_note, "write_atomic", full)
     said, flown = [], False
-    with noted("tcp/127.0.0.1:1", "lab", say=said.append):
+    with noted("tcp/127.0.0.1:1", "lab", warn=said.append):
         flown = True
     assert flown
     assert "No space left on device" in said[0]
@@ -348,7 +348,8 @@ def test_a_run_with_a_folder_has_a_note_that_names_it(here, tmp_path, monkeypatc
         raise FolderError("seen")
 
     monkeypatch.setattr(verb, "write_config", seen)
-    assert verb.run_experiment("hold", [], tmp_path / "out", False, rig) == 2
+    options = verb.RunOptions(rig, tmp_path / "out")
+    assert verb.run_experiment("hold", [], options) == 2
     assert [(one.rig, one.folder, one.endpoint) for one in notes] == [
         (rig, str(tmp_path / "out"), "")
     ]

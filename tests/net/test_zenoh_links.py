@@ -76,7 +76,7 @@ def test_states_and_setpoints_get_across(party):
     assert set(to_a.neighbours()) == {"b"}
     assert set(b.neighbours()) == {"a"}
     assert b.messages()["a"].values == (1.0, 2.0)
-    assert a.heard.inbox.counts[Acceptance.FOREIGN] == 0
+    assert a.setpoints.inbox.counts[Acceptance.FOREIGN] == 0
 
 
 def test_setpoints_of_another_run_are_refused(party):
@@ -88,7 +88,7 @@ def test_setpoints_of_another_run_are_refused(party):
     def refused():
         now = other.clock.now
         link.publish(Demand(now, 1, 2, 3, 0, 0, now + 0.3))
-        return a.setpoint() or a.heard.inbox.counts[Acceptance.FOREIGN] > 3
+        return a.setpoint() or a.setpoints.inbox.counts[Acceptance.FOREIGN] > 3
 
     wait_for(refused)
     assert a.setpoint() is None
@@ -141,7 +141,7 @@ def test_poses_from_a_topic(sessions):
         if number % 2:
             bodies["b"] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         now = monotonic_ns()
-        publisher.say(encode_poses(number, now - 10**7, now, bodies))
+        publisher.send(encode_poses(number, now - 10**7, now, bodies))
         exposures.extend(topic.poll())
         return len(exposures) > 5
 
@@ -150,7 +150,7 @@ def test_poses_from_a_topic(sessions):
     assert last.bodies["a"].position == (1.0, 2.0, 3.0)
     assert last.bodies["b"].tracked == bool(last.number % 2)
     assert last.arrived_ns - last.exposed_ns >= 10**7 - 10**6
-    publisher.say(b"garbage")
+    publisher.send(b"garbage")
     wait_for(lambda: topic.poll() is None or topic.bad == 1)
 
 

@@ -78,7 +78,7 @@ def test_one_sentence_once():
         ("sat3", response(2.2, "land", "pose_stale", "fleet")),
         ("sat1", FlightEvent(2.8, "valves shut")), (SUPERVISOR, end),
     ]  # fmt: skip
-    lines = Story(SCENARIO).tell(rows)
+    lines = Story(SCENARIO).lines_of(rows)
     assert lines == [
         EventLine(2.0, ("sat3",), "CRITICAL", f"fault: {STUCK.words}"),
         EventLine(2.0, ("sat3",), "ERROR", "valves shut"),
@@ -95,12 +95,12 @@ def test_a_fault_that_only_followers_tell_is_told_once():
     raised = FaultReport("host_law_raised", "law on the host: ValueError", "sat2")
     said = FaultReport("fleet", "stopped with sat2", detector="fleet", cause=raised.origin)
     rows = [("sat1", fault(1.0, said)), ("sat3", fault(1.0, said))]
-    assert [line.who for line in Story(SCENARIO).tell(rows)] == [("sat1",), ("sat3",)]
-    words = [line.words for line in Story(SCENARIO).tell(rows)]
+    assert [line.who for line in Story(SCENARIO).lines_of(rows)] == [("sat1",), ("sat3",)]
+    words = [line.words for line in Story(SCENARIO).lines_of(rows)]
     assert words == [f"fault: {said.words}", "stopping with the others"]
 
 
 def test_a_fault_of_the_rig_is_told_by_the_supervisor_only():
     failed = FaultReport("rig_failed", "the network is gone")
     rows = [(SUPERVISOR, phase_change(SeenPhase(1.0, "FAULT", fault=failed)))]
-    assert Story(SCENARIO).tell(rows)[0].words == "FAULT: the network is gone"
+    assert Story(SCENARIO).lines_of(rows)[0].words == "FAULT: the network is gone"

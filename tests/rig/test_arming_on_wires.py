@@ -94,7 +94,7 @@ def test_setpoints_of_another_host_before_the_start_are_red():
         with dial(endpoint) as session:
             publisher = Publisher(session, "lab/sat1/setpoint")
             while not over.wait(0.1):
-                publisher.say(b"anything at all")
+                publisher.send(b"anything at all")
 
     def way(endpoint):
         threading.Thread(target=intrude, args=(endpoint,)).start()
@@ -158,7 +158,7 @@ def test_what_cannot_be_flown_on_wires_is_refused_before_anything_starts():
 
 def test_on_the_table_it_says_whom_it_waits_for():
     said = []
-    rig = WireRig(loopback(load(find("hold")), Path()), bench=False, say=said.append)
+    rig = WireRig(loopback(load(find("hold")), Path()), bench=False, notify=said.append)
     ending = rig.fly(None, stopped=lambda: bool(said))
     assert said == ["waiting for sat1; start `testbed agent` on each computer"]
     assert (ending.t, ending.fault) == (0.0, None)
@@ -168,7 +168,7 @@ def test_an_operator_stops_a_host_that_waits_for_its_vehicles(capsys):
     experiment, codes = loopback(load(find("hold")), Path()), []
     endpoint = experiment.table.lab.network.endpoint
     rig = WireRig(
-        experiment, bench=False, say=lambda _: codes.append(stop_everything(endpoint, "lab"))
+        experiment, bench=False, notify=lambda _: codes.append(stop_everything(endpoint, "lab"))
     )
     ending = rig.fly(NullObserver())
     assert (ending.t, ending.fault) == (0.0, STOPPED)
@@ -184,7 +184,7 @@ def test_a_stop_that_has_reached_a_vehicle_only_stops_its_host():
         with dial(endpoint) as session:
             farewell(session, Keys("lab"), "sat2", "stopped", by_operator=True)
 
-    ending = WireRig(experiment, bench=False, say=say).fly(NullObserver())
+    ending = WireRig(experiment, bench=False, notify=say).fly(NullObserver())
     assert (ending.t, ending.fault) == (0.0, STOPPED)
 
 
@@ -220,7 +220,7 @@ def test_the_host_says_that_an_agent_has_ended_and_why():
                 tokens.pop().undeclare()
 
         tokens = []
-        rig = WireRig(experiment, bench=False, say=say)
+        rig = WireRig(experiment, bench=False, notify=say)
         rig.fly(None, stopped=lambda: any("no longer on the network" in text for text in said))
     ended = "{0} has ended: {1}; start `testbed agent {0}` again"
     assert ended.format("sat2", "no board at /dev/ttyACM7") in said

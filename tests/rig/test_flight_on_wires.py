@@ -346,7 +346,7 @@ def test_a_stop_after_a_ctrl_c_shuts_valves_and_air(monkeypatch):
 
     def ctrl_c_and_stop(rig):
         if rig.now > 1.0:
-            asked.hear(b"a")
+            asked.count(b"a")
         return int(rig.now > 1.0)
 
     _, ending, _, met = fly("hold", "duration_s=30", stops=ctrl_c_and_stop)

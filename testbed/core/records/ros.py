@@ -100,8 +100,8 @@ def page() -> str:
                 cells = f"`{field.name}`", f"`{field.type_text}`", field.meaning
                 lines.append(f"| {' | '.join(cells)} |")
         for name, codes in one.codes.items():
-            said = ", ".join(f"{code.value} `{code.name}`" for code in codes)
-            lines += ["", f"`{name}`: {said}"]
+            listed = ", ".join(f"{code.value} `{code.name}`" for code in codes)
+            lines += ["", f"`{name}`: {listed}"]
     return "\n".join(lines) + "\n"
 
 

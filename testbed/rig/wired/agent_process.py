@@ -38,7 +38,7 @@ class AgentOptions(Struct, frozen=True):
     heartbeat: Path | None = None  # heartbeat file: shows the host whether the law is being called
 
 
-def fly(agent: AgentOptions, say: Callable[[str], None], *, child: bool) -> None:
+def fly(agent: AgentOptions, notify: Callable[[str], None], *, child: bool) -> None:
     """Fly one vehicle, until its host or the operator ends it.
 
     Raises:
@@ -54,17 +54,17 @@ def fly(agent: AgentOptions, say: Callable[[str], None], *, child: bool) -> None
                 f"{agent.keys} has the keys of {credentials.common_name}, not of {agent.name}"
             )
         if credentials.ending:
-            say(credentials.ending)
+            notify(credentials.ending)
         endpoint, lab = endpoint or credentials.endpoint, lab or credentials.lab
     endpoint, lab = endpoint or Network().endpoint, lab or Network().lab
     if (why := untrusted(endpoint, agent.keys)) is not None:
         raise CredentialsError(f"{endpoint} is not opened: {why}")
     if agent.heartbeat is not None:
         attach(in_file(agent.heartbeat))
-    say(f"looking for the host at {endpoint}")
+    notify(f"looking for the host at {endpoint}")
     VehicleProcess(
         agent.name, endpoint, lab, agent.port, agent.keys, gone=orphaned if child else None,
-        report=agent.report, say=say,
+        report=agent.report, notify=notify,
     ).run()  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import zenoh
 
 from testbed.net.commands import Accepted, Answer, Look, Order, Refused, Retune, Start, Stop
 from testbed.net.keys import Keys
-from testbed.net.session import answer_to, on_word
+from testbed.net.session import answer_to, on_message
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.stop_requests import StopRequests
@@ -44,7 +44,7 @@ class CommandServer:
         self.stop_reason: str | None = None
         self._name, self._board, self._flying = name, board, threading.Event()
         self._close: Callable[[], None] | None = None
-        self.asked = StopRequests()
+        self.stops = StopRequests()
         self.operator_stops = 0  # without those that the host ordered
         self._obeyed = threading.Event()
         # of the law on board: why it does not change, empty if it does
@@ -54,7 +54,7 @@ class CommandServer:
         self._kept = [
             answer_to(session, keys.of(name, "order"), self._order),
             answer_to(session, keys.stop, self.operator_stop),
-            on_word(session, keys.stop, self.operator_stop),
+            on_message(session, keys.stop, self.operator_stop),
         ]
 
     def take_off(self, close: Callable[[], None]) -> None:
@@ -77,7 +77,7 @@ class CommandServer:
                 answer = self._preflight.ready()
             case Stop(reason, at_once):
                 if at_once:
-                    self.asked.insist()
+                    self.stops.insist()
                 self._stop(reason)
                 answer = Accepted(self._board)
             case Retune():
@@ -102,7 +102,7 @@ class CommandServer:
 
     def operator_stop(self, stop: bytes) -> bytes:
         """Obey an operator's stop and answer it; `stop` is its id."""
-        self.operator_stops = self.asked.hear(stop)
+        self.operator_stops = self.stops.count(stop)
         self._stop("stopped by the operator")
         return self._name.encode()  # the vehicle that stops
 
@@ -112,7 +112,7 @@ class CommandServer:
             self.stop_reason = reason
         if self._close is None:
             return
-        if self.asked.times > 1:
+        if self.stops.times > 1:
             self._close()
         elif first:
             insist = threading.Timer(OBEYED_S, self._insist)

@@ -19,7 +19,7 @@ def count(
     best = clock.best
     latency = float(np.median(poses.latencies)) if poses.latencies else math.nan
     return Counts(
-        commands={str(k): n for k, n in link.heard.inbox.counts.items()},
+        commands={str(k): n for k, n in link.setpoints.inbox.counts.items()},
         refusals=thrusters.refusals | ({"not_sent": unsent} if unsent else {}),
         mocap={str(k): n for k, n in poses.troubles.items()},
         lost_frames=poses.lost_frames,

@@ -25,7 +25,7 @@ from testbed.net.credentials import neighbour
 from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.links import Party
-from testbed.net.session import NetworkError, answer_to, on_word
+from testbed.net.session import NetworkError, answer_to, on_message
 from testbed.net.stop import NOT_STARTED
 from testbed.realtime.processes import ChildError, ProcessGroup
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
@@ -64,7 +64,7 @@ class WireRig:
         agree: asks the operator whether these vehicles may be armed; by default they may.
         latch: keeps a fault for the next run.
         latched: fault of the previous run, which must be reset first.
-        say: called with messages for the operator; by default they are dropped.
+        notify: called with messages for the operator; by default they are dropped.
         checked: called with every result of the arming checks; by default they are dropped.
         relay: maps the host's endpoint to the endpoint of the bench's vehicles.
         live: carries out the operator's requests; None: the flight cannot be changed.
@@ -80,7 +80,7 @@ class WireRig:
         agree: Callable[[Sequence[str]], bool] = lambda names: True,
         latch: FaultLatch | None = None,
         latched: FaultReport | None = None,
-        say: Callable[[str], None] = lambda text: None,
+        notify: Callable[[str], None] = lambda text: None,
         checked: Callable[[Sequence[Check]], None] = lambda checks: None,
         relay: Callable[[str], str] = str,
         live: LiveFlight | None = None,
@@ -94,7 +94,7 @@ class WireRig:
         self._bench, self._keep = bench, keep
         check_wires(experiment, bench=bench)
         self._log, self._agree, self._latch = log, agree, latch
-        self._say, self._checked = say, checked
+        self._notify, self._checked = notify, checked
         self.supervisor = Supervisor(latched)
         self.red: list[Check] = []
         self._ran = False  # valves may have opened
@@ -191,13 +191,13 @@ class WireRig:
         answering = [
             answer_to(session, keys.experiment, lambda _: text),
             answer_to(session, keys.ended, lambda _: self._ended_as(contact)),
-            on_word(session, keys.stop, contact.asked.hear),
+            on_message(session, keys.stop, contact.stops.count),
             answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
         ]
         stack.callback(answering.clear)
         note = noted(
             network.endpoint, network.lab, network.keys, names,
-            self.experiment.name, say=self._say, folder=self._log,
+            self.experiment.name, warn=self._notify, folder=self._log,
         )  # fmt: skip
         stack.enter_context(note)
         return contact
@@ -315,7 +315,7 @@ class WireRig:
             gone = contact.update()
             if not self._bench:
                 for name, why in gone.items():
-                    self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
+                    self._notify(f"{name} has ended: {why}; start `testbed agent {name}` again")
         return True
 
     def _report_missing(self, missing: set[str]) -> None:
@@ -326,7 +326,7 @@ class WireRig:
         ])  # fmt: skip
         if not self._bench:
             absent = ", ".join(sorted(missing))
-            self._say(f"waiting for {absent}; start `testbed agent` on each computer")
+            self._notify(f"waiting for {absent}; start `testbed agent` on each computer")
 
     def _arm(self, arming: ArmingRequests) -> bool:
         """Reset the fault of the previous run, and arm; False: an operator stopped the run.
@@ -360,7 +360,7 @@ class WireRig:
         lab, seed = self.experiment.table.lab, self.experiment.seed
         party = Party(contact.session, lab, run, clock, seed, "host")
         flight = HostFlight(
-            self.experiment, self.results, party, self.disk_free, contact.asked, self.live
+            self.experiment, self.results, party, self.disk_free, contact.stops, self.live
         )
         try:
             for name, board in contact.start(run, epoch):

@@ -23,12 +23,12 @@ class Intruder:
         now = self._party.clock.now
         there = Reference(now, Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0))
         setpoint = Trajectory((there,), now + 1.0)
-        self._publisher(name).say(self._outbox.seal(setpoint, now, now + 1.0))
+        self._publisher(name).send(self._outbox.seal(setpoint, now, now + 1.0))
 
     def flood(self, name: str, count: int) -> None:
         """Send messages without meaning, as a runaway program would."""
         for _ in range(count):
-            self._publisher(name).say(b"nothing")
+            self._publisher(name).send(b"nothing")
 
     def _publisher(self, name: str) -> Publisher:
         if name not in self._publishers:

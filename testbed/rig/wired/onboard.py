@@ -85,7 +85,7 @@ class VehicleFlight:
         self._arrived_ns: dict[int, int] = {}  # arrival of the newest pose, by plan number
         self.fault: FaultReport | None = None
         self.signals = StopRequests()  # Ctrl-C at this vehicle's terminal
-        self._stops = StopCount(lambda: self.signals.times, commands.asked)
+        self._stops = StopCount(lambda: self.signals.times, commands.stops)
         self.landed_at: float | None = None  # when its air was ordered off [s]
 
     def vehicle(self, name: str, tick: AnyTick) -> None:
@@ -115,25 +115,25 @@ class VehicleFlight:
             self._pace(self._late_s),
             edges,
             self._commands.operator_stops,
-            self._commands.asked.marks,
+            self._commands.stops.marks,
         )
         self._k += 1
-        self._publisher.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+        self._publisher.send(self._out.seal(flown, clock.now, clock.now + KEPT_S))
 
     def _hear_edges(self) -> None:
         new = self._thrusters.edges()
-        self._watch.hear(new)
+        self._watch.receive(new)
         self._edges += new
 
     def _arrived(self) -> dict[str, int]:
         return self._link.arrived | {"leases": self._lease_subscriber.arrived}
 
     def _pace(self, late: float) -> Pace:
-        inbox, poses = self._link.heard.inbox, self._poses
-        heard = inbox.counts[Acceptance.TAKEN]
+        inbox, poses = self._link.setpoints.inbox, self._poses
+        taken = inbox.counts[Acceptance.TAKEN]
         return Pace(
-            late, self._pose_to_valve(), inbox.delay, heard, inbox.missed,
-            sum(inbox.counts.values()) - heard, self._host_clock.trip,
+            late, self._pose_to_valve(), inbox.delay, taken, inbox.missed,
+            sum(inbox.counts.values()) - taken, self._host_clock.trip,
             str(poses.trouble or ""), poses.lost_frames,
         )  # fmt: skip
 
@@ -154,7 +154,7 @@ class VehicleFlight:
 
     def vitals(self) -> Vitals:
         """Vital data of this process, the network and the operator."""
-        for at, data in self._lease_subscriber.heard():
+        for at, data in self._lease_subscriber.received():
             self._lease.take(data, self._clock.of(at))
         self._frame.look(self._poses.reference_bodies())
         clock, lease = self._clock, self._lease.newest
@@ -181,14 +181,14 @@ class VehicleFlight:
 
     def over(self) -> int:
         """Number of stop requests; 2 shut valves and air at once, or brake if that is shorter."""
-        times = self._asked()
+        times = self._stops_so_far()
         if times > 1 and (not self.brakes or self._thrusters.trouble is not None):
             self._thrusters.land()
         if times:
             self._commands.obey()
         return times
 
-    def _asked(self) -> int:
+    def _stops_so_far(self) -> int:
         lease, commands = self._lease.newest, self._commands
         if self._thrusters.trouble is not None:  # the jets cannot be trusted
             if self.fault is None:
@@ -225,17 +225,17 @@ class LeasedNode:
 
 
 @contextmanager
-def counted(asked: StopRequests) -> Iterator[None]:
+def counted(stops: StopRequests) -> Iterator[None]:
     """While open, Ctrl-C and SIGTERM are counted as stops, which the loop obeys."""
     if threading.current_thread() is not threading.main_thread():  # it gets no signals
         yield
         return
     numbers = (signal.SIGINT, signal.SIGTERM)
 
-    def hear(number: int, frame: FrameType | None) -> None:
-        asked.times += 1
+    def count(number: int, frame: FrameType | None) -> None:
+        stops.times += 1
 
-    before = {number: signal.signal(number, hear) for number in numbers}
+    before = {number: signal.signal(number, count) for number in numbers}
     try:
         yield
     finally:

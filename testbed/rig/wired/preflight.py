@@ -58,7 +58,7 @@ class Preflight:
 
     def checks(self) -> list[Check]:
         """All checks, passed and failed."""
-        heard: dict[str, tuple[Ready, float]] = {}
+        answered: dict[str, tuple[Ready, float]] = {}
         found: list[Check] = []
         for name in self._experiment.vehicles:
             asked = monotonic_ns()
@@ -69,12 +69,12 @@ class Preflight:
                 continue
             match answer:
                 case Ready():
-                    heard[name] = answer, 1e-9 * (monotonic_ns() - asked)
+                    answered[name] = answer, 1e-9 * (monotonic_ns() - asked)
                 case Refused(reason):
                     found.append(Check("board", name, reason))
-        states = {n: one.readiness.state for n, (one, _) in heard.items()}
+        states = {n: one.readiness.state for n, (one, _) in answered.items()}
         known = {n: s for n, s in states.items() if s is not None}
-        for name, (one, trip) in heard.items():
+        for name, (one, trip) in answered.items():
             law_error = ""
             if name not in self._sound and len(known) == len(self._experiment.vehicles):
                 law_error = objection(self._experiment, name, known)
@@ -94,6 +94,6 @@ class Preflight:
                 why = not_commissioned(self._experiment, name, one.board)
                 found.append(Check("commissioned", name, why, at_reset=False))
         if self._experiment.table.lab.mocap.reference:
-            moved = (one.readiness.vitals.fleet for one, _ in heard.values())
+            moved = (one.readiness.vitals.fleet for one, _ in answered.values())
             found.append(Check("frame", "", next((one.text for one in moved if one), "")))
         return found

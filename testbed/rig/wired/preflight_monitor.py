@@ -33,7 +33,7 @@ class PreflightMonitor:
 
     def __init__(
         self, experiment: Experiment, name: str, source: MocapSource, thrusters: WiredThrusters,
-        reader: Reader, strangers: Sequence[Subscriber],
+        reader: Reader, foreign_keys: Sequence[Subscriber],
     ) -> None:  # fmt: skip
         """Start; `strangers` receives keys that must be silent before the order to start."""
         self._clock = WallClock(monotonic_ns())
@@ -47,8 +47,8 @@ class PreflightMonitor:
         self._state: State | None = None
         self._looked_at = 0.0
         self._config, self._lock = config_id(experiment), Lock()
-        self._reader, self._strangers = reader, strangers
-        self._strange_at = -math.inf  # when a stranger was heard
+        self._reader, self._foreign_keys = reader, foreign_keys
+        self._foreign_at = -math.inf  # when a foreign message arrived
 
     def look(self) -> None:
         """Update with new poses, reports and messages."""
@@ -57,8 +57,8 @@ class PreflightMonitor:
             return
         self._due = now + self._period
         self._reader.look()
-        if sum(len(key.heard()) for key in self._strangers):
-            self._strange_at = now
+        if sum(len(key.received()) for key in self._foreign_keys):
+            self._foreign_at = now
         samples = tuple(self._poses.samples())
         self._frame.look(self._poses.reference_bodies())
         health = self._thrusters.health()
@@ -79,7 +79,7 @@ class PreflightMonitor:
         if state is not None:  # the pose is old if this process was busy
             late = max(0.0, self._clock.now - at - self._period)
             state = replace(state, pose_age=state.pose_age + late)
-        alone = self._clock.now - self._strange_at > ALONE_S
+        alone = self._clock.now - self._foreign_at > ALONE_S
         why = self._frame.reason or self._frame.unseen
         frame = FaultReport(FaultId.FRAME_MOVED, why) if why else None
         vitals = Vitals(session_ok=alone, clock_offset=self._reader.unsure(), fleet=frame)

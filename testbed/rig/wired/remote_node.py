@@ -18,7 +18,7 @@ class RemoteNode:
     ) -> None:
         self.name, self._meet, self._shut, self.lost_s = name, meet, (0,) * jets, lost_s
         self.newest: Tick | None = None
-        self.heard_at = 0.0
+        self.received_at = 0.0
         self.ended: Ended | None = None
         self.fault: FaultReport | None = None
 
@@ -35,8 +35,8 @@ class RemoteNode:
     def _newest(self, t: float) -> Tick:
         if self.ended is not None:
             return self._silent(t, InhibitReason.VEHICLE_OVER, self.ended.fault)
-        if t - self.heard_at > self.lost_s:
-            text = f"vehicle silent: not heard for {t - self.heard_at:.1f} s"
+        if t - self.received_at > self.lost_s:
+            text = f"vehicle silent: not heard for {t - self.received_at:.1f} s"
             fault = FaultReport(FaultId.VEHICLE_SILENT, text)
             return self._silent(t, InhibitReason.VEHICLE_SILENT, fault)
         return self.newest or self._silent(t, InhibitReason.NOT_HEARD_YET, None)

@@ -224,7 +224,7 @@ class TableServer:
         else:
             self._mocap.send(MocapFrame(number, tuple(bodies), 1e-9 * exposed, exposed, now, now))
         if number % TRUTH_FRAMES == 0:
-            self._tell(exposed)
+            self._publish_truth(exposed)
 
     def _advance(self, exposed: int) -> float | None:
         """Move the plant on to an exposure; its time [s], None before the vehicles float."""
@@ -262,7 +262,7 @@ class TableServer:
             for name, body in zip(self._bodies, bodies, strict=True)
             if body.tracked
         }
-        self._pose_topic.say(encode_poses(number, exposed, monotonic_ns(), seen))
+        self._pose_topic.send(encode_poses(number, exposed, monotonic_ns(), seen))
 
     def _look(self, name: str, k: int) -> Sighting:
         now = self.plant.t  # injections use the plant's time here: 0 until the vehicles float
@@ -285,10 +285,10 @@ class TableServer:
             self._pose_topic = Publisher(self._session, self._keys.pose)
             self._leases = Subscriber(self._session, self._keys.lease)
 
-    def _tell(self, exposed: int) -> None:
+    def _publish_truth(self, exposed: int) -> None:
         if self._truth is not None:
             poses = dict(zip(self.names, self.plant.x.tolist(), strict=True))
-            self._truth.say(msgspec.msgpack.encode((exposed, poses)))
+            self._truth.send(msgspec.msgpack.encode((exposed, poses)))
 
     # Rehearsed faults
 
@@ -312,7 +312,7 @@ class TableServer:
         """Schedule the injections as soon as the run's time 0 is known."""
         if self._leases is None or self._released_ns is None or not self.experiment.inject:
             return
-        for at, data in self._leases.heard():
+        for at, data in self._leases.received():
             head = head_of(data)
             if head is None or not abs(head.issued_at) < LARGEST_S:
                 continue  # not from the host

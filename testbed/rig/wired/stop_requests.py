@@ -20,7 +20,7 @@ class StopRequests:
         self._ids: deque[bytes] = deque(maxlen=KEPT)
         self.times = 0
 
-    def hear(self, stop: bytes = b"") -> int:
+    def count(self, stop: bytes = b"") -> int:
         """Count a stop; returns the number so far.
 
         Args:
@@ -72,25 +72,25 @@ class StopCount:
 
     Args:
         terminal: number of stops at the own terminal.
-        asked: stops from elsewhere.
+        requests: stops from elsewhere.
         now: the monotonic clock [ns].
     """
 
     def __init__(
         self,
         terminal: Callable[[], int],
-        asked: StopRequests,
+        requests: StopRequests,
         now: Callable[[], int] = monotonic_ns,
     ) -> None:
-        self._terminal, self._asked, self._now = terminal, asked, now
+        self._terminal, self._requests, self._now = terminal, requests, now
         self._first: int | None = None  # at the terminal
 
     def __call__(self) -> int:
         """Number of stops: 1 is brake and land, 2 is shut valves and air at once."""
-        own, others = self._terminal(), self._asked.times
+        own, others = self._terminal(), self._requests.times
         if own and self._first is None:
             self._first = self._now()
-        if self._first is not None and self._asked.first_ns is not None:
-            apart = abs(self._asked.first_ns - self._first)
+        if self._first is not None and self._requests.first_ns is not None:
+            apart = abs(self._requests.first_ns - self._first)
             return 2 if apart > AGAIN_NS else max(own, others)
         return max(own, others)

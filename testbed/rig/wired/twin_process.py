@@ -32,7 +32,7 @@ FAILURES = (OSError, TapError, BoardError, CompilerError, LimitsError)
 
 def serve(
     experiment: Experiment, ports: Path | None, report: Path | None, *,
-    over: Callable[[], bool], say: Callable[[str], None],
+    over: Callable[[], bool], notify: Callable[[str], None],
 ) -> None:  # fmt: skip
     """Serve until `over()`.
 
@@ -41,7 +41,7 @@ def serve(
         ports: folder for the vehicles' serial ports; None: as in the table file.
         report: file for the report of the flight.
         over: whether to end.
-        say: called with the addresses of cameras and ports.
+        notify: called with the addresses of cameras and ports.
 
     Raises:
         OSError, TapError, BoardError, CompilerError, LimitsError: a part is not available.
@@ -50,9 +50,9 @@ def serve(
     compile_cameras(experiment)
     with TableServer(experiment, ports) as server:
         wire = experiment.table.lab.mocap
-        say(f"NatNet {wire.version} at {wire.server}, commands at {wire.command_port}")
+        notify(f"NatNet {wire.version} at {wire.server}, commands at {wire.command_port}")
         for vehicle in experiment.vehicles:
-            say(f"{vehicle}: {port_of(experiment, vehicle, ports)}")
+            notify(f"{vehicle}: {port_of(experiment, vehicle, ports)}")
         signal.signal(signal.SIGUSR1, lambda number, frame: server.cut_next())
         for pid in server.pids.values():  # a real chip never waits for a CPU
             prefer_process(pid, PRIORITY + 10)
@@ -77,7 +77,7 @@ def compile_cameras(experiment: Experiment) -> None:
 def main() -> None:
     """Serve as the child of a host."""
     config, report = (Path(word) for word in sys.argv[1:3])
-    serve(load(config), None, report, over=orphaned, say=lambda text: None)
+    serve(load(config), None, report, over=orphaned, notify=lambda text: None)
 
 
 if __name__ == "__main__":

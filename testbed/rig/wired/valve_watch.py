@@ -50,7 +50,7 @@ class ValveWatch:
                 up = planned.pop()[0]
             planned.append((up, down))
 
-    def hear(self, edges: Sequence[tuple[float, int]]) -> None:
+    def receive(self, edges: Sequence[tuple[float, int]]) -> None:
         """Take edges that the board has reported: time [s], mask of the open valves."""
         for t, mask in edges:
             self._heard = True

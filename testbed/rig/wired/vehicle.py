@@ -70,7 +70,7 @@ class VehicleProcess:
     def __init__(
         self, name: str, endpoint: str, lab: str, port: str | None = None,
         credentials: Path | None = None, *, gone: Callable[[], bool] | None = None,
-        report: Path | None = None, say: Callable[[str], None] = lambda text: None,
+        report: Path | None = None, notify: Callable[[str], None] = lambda text: None,
     ) -> None:  # fmt: skip
         """Name what the vehicle needs.
 
@@ -82,10 +82,10 @@ class VehicleProcess:
             credentials: its key folder; None: the host is on this machine.
             gone: whether the parent process has ended, for the child of a host.
             report: a file for its final report, in case the host is lost.
-            say: called with progress messages; by default they are dropped.
+            notify: called with progress messages; by default they are dropped.
         """
         self.name, self.endpoint, self.lab, self.port = name, endpoint, lab, port
-        self.credentials, self.report_file, self.say = credentials, report, say
+        self.credentials, self.report_file, self.notify = credentials, report, notify
         self.keys, self.stack, self.child = Keys(lab), ExitStack(), gone is not None
         self.gone = gone or (lambda: False)
 
@@ -103,7 +103,7 @@ class VehicleProcess:
             start = self.await_start()
             if start is None:
                 why = self.commands.stop_reason or "its parent process has ended"
-                self.say(f"not flown: {why}")
+                self.notify(f"not flown: {why}")
                 if self.commands.operator_stops:
                     farewell(self.session, self.keys, self.name, why, by_operator=True)
                 return
@@ -125,7 +125,7 @@ class VehicleProcess:
     def prepare(self) -> None:
         """Compile the chain, and open the cameras and the board."""
         name, experiment, wires = self.name, self.experiment, self.experiment.table.lab
-        self.say(f"the host flies {experiment.name}; getting ready (compiles on the first run)")
+        self.notify(f"the host flies {experiment.name}; getting ready (compiles on the first run)")
         self.clock = WallClock(monotonic_ns())  # replaced when the run's time 0 is known
         self.process_faults = ProcessFaults(experiment.inject, lambda: self.clock.now)
         spoilt = partial(self.process_faults.spoilt, name) if experiment.inject else None
@@ -147,11 +147,11 @@ class VehicleProcess:
         self.clock_of_host = read_clock(session, keys)
         reader = Reader(session, keys, self.clock_of_host)
         # these keys must be silent before the order to start
-        self.strangers = [
+        self.foreign_keys = [
             Subscriber(session, key) for key in (keys.of(name, "setpoint"), keys.lease)
         ]
         self.preflight = PreflightMonitor(
-            self.experiment, name, self.source, self.thrusters, reader, self.strangers
+            self.experiment, name, self.source, self.thrusters, reader, self.foreign_keys
         )
         self.enrolment = Enrolment(session, keys, name)
         self.commands = CommandServer(
@@ -167,14 +167,14 @@ class VehicleProcess:
                 lambda stop: self.commands.operator_stop(stop.encode()),
             )  # fmt: skip
         except (ImportError, OSError, ValueError) as error:
-            self.say(f"warning: `testbed stop` reaches {name} through its host only: {error}")
+            self.notify(f"warning: `testbed stop` reaches {name} through its host only: {error}")
         else:
             self.stack.callback(listener.close)
         self.stack.callback(session.liveliness().declare_token(keys.of(name, "alive")).undeclare)
 
     def await_start(self) -> Start | None:
         """Wait for the order to start; None if it will not come."""
-        self.say(f"ready, {self.thrusters.board}; waiting for the host's order to start")
+        self.notify(f"ready, {self.thrusters.board}; waiting for the host's order to start")
         while True:
             try:
                 return self.commands.starts.get_nowait()
@@ -187,7 +187,7 @@ class VehicleProcess:
 
     def start(self, start: Start) -> None:
         """Switch the bearing air on, wait for the run's time 0, and arm unless it was stopped."""
-        self.say("flies")
+        self.notify("flies")
         name, experiment, clock, thrusters = self.name, self.experiment, self.clock, self.thrusters
         epoch = self.clock_of_host.to_own(start.epoch_ns)
         assert epoch is not None
@@ -202,8 +202,8 @@ class VehicleProcess:
         while monotonic_ns() < epoch - LOOK_NS:
             self.preflight.look()
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
-        for stranger in self.strangers:
-            stranger.close()
+        for key in self.foreign_keys:
+            key.close()
         self.poses = MocapPoses(self.source, wires.mocap, clock, name)
         model, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
         self.flight = VehicleFlight(
@@ -257,9 +257,9 @@ class VehicleProcess:
         )  # fmt: skip
         if self.report_file is not None:
             write_atomic(self.report_file, msgspec.json.encode(ended))
-        self.event.say(Outbox(start.session).seal(ended, now, now + KEPT_S))
+        self.event.send(Outbox(start.session).seal(ended, now, now + KEPT_S))
         by = "" if fault is None or fault.id == FaultId.STOPPED else " by a fault"
-        self.say(f"ended after {ending.t:.1f} s{by}{f': {fault.words}' if fault else ''}")
+        self.notify(f"ended after {ending.t:.1f} s{by}{f': {fault.words}' if fault else ''}")
         end = monotonic_ns() + SENT_NS
         while monotonic_ns() < end and not self.gone():
             sleep_until_ns(monotonic_ns() + LOOK_NS)

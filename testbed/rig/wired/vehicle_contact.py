@@ -24,13 +24,13 @@ class VehicleContact:
     Args:
         session, keys: the network of the lab.
         names: the flight's vehicles.
-        asked: counts the stops that reach the host.
+        stops: counts the stops that reach the host.
     """
 
     def __init__(
-        self, session: zenoh.Session, keys: Keys, names: Sequence[str], asked: StopRequests
+        self, session: zenoh.Session, keys: Keys, names: Sequence[str], stops: StopRequests
     ) -> None:
-        self.session, self.keys, self.asked = session, keys, asked
+        self.session, self.keys, self.stops = session, keys, stops
         self.roll = Roll(session, keys, names)
         self.present: set[str] = set()  # on the network and ready to take an order
         self._names = names
@@ -38,7 +38,7 @@ class VehicleContact:
     @property
     def called_off(self) -> bool:
         """Whether an operator has stopped the run; the stop may have reached a vehicle first."""
-        return self.asked.times > 0 or self.roll.stopped
+        return self.stops.times > 0 or self.roll.stopped
 
     def update(self) -> dict[str, str]:
         """Look again who is present; returns vehicles that have gone since, and why."""

@@ -74,7 +74,7 @@ class HostFlight:
         book: records the data of the flight.
         party: this end of the network.
         disk_free: free space on the disk of the log [bytes].
-        asked: counts stops from any terminal.
+        stops: counts stops from any terminal.
         live: carries out the operator's requests; None: the flight cannot be changed.
     """
 
@@ -84,7 +84,7 @@ class HostFlight:
         book: Book,
         party: Party,
         disk_free: Callable[[], float],
-        asked: StopRequests,
+        stops: StopRequests,
         live: LiveFlight | None,
     ) -> None:
         self._process_faults = ProcessFaults(experiment.inject, lambda: party.clock.now)
@@ -114,14 +114,14 @@ class HostFlight:
         self._observer: Observer | None = None
         self._fleet: FaultReport | None = None
         self._armed = True
-        self._asked = asked
+        self._stops = stops
         self._pause = Pause()
         self.concerns: list[Concern] = []  # of laws on the host and floods, after the flight
 
     @property
     def stopped(self) -> bool:
         """Whether an operator asked for a stop at any terminal."""
-        return self._asked.times > 0
+        return self._stops.times > 0
 
     def lease(self) -> None:
         """Send a lease to the vehicles, with the host data that they need."""
@@ -134,14 +134,14 @@ class HostFlight:
         config = "another" if rehearsed("config_differs") else self._config
         disk_free = 0.0 if rehearsed("disk_full") else self._disk_free()
         lease = Lease(self._armed, fleet, config, disk_free, self._at_once)
-        self._lease.say(self._seal.seal(lease, now, now + LEASE_S))
+        self._lease.send(self._seal.seal(lease, now, now + LEASE_S))
 
     def fly(self, observer: Observer, stopped: Callable[[], int], supervisor: Supervisor) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
         experiment, clock = self._experiment, self._party.clock
         period, nodes, hosts = experiment.flight.jet_period_s, self._nodes.values(), self._hosts()
         self._observer = observer
-        asked = StopCount(stopped, self._asked)
+        stops = StopCount(stopped, self._stops)
         ticking: Clock = clock
         with ExitStack() as stack:
             if self._live is not None:
@@ -150,22 +150,22 @@ class HostFlight:
                     self._live.flying(clock, hosts or far, hosts, supervisor, far=not hosts)
                 )
             stack.enter_context(realtime_priority(PRIORITY))
-            ending = fly(ticking, list(nodes), hosts, period, experiment.ticks, self, stopped=asked)
-        holding = holds(experiment, ending) and not asked()
+            ending = fly(ticking, list(nodes), hosts, period, experiment.ticks, self, stopped=stops)
+        holding = holds(experiment, ending) and not stops()
         if holding:
-            self._hold(asked)
+            self._hold(stops)
         if ending.t < experiment.end_s or holding:
-            self._armed, self._at_once = False, asked() > 1
+            self._armed, self._at_once = False, stops() > 1
             self.lease()
             reason = ending.fault.words if ending.fault else "the host has ended the flight"
             self._stop_all(reason, at_once=self._at_once)
-        self._await_ends(asked)
+        self._await_ends(stops)
         self._book.note_host(
-            clock.lateness, sum(link.said.outbox.sent for link in self._links.values())
+            clock.lateness, sum(link.setpoints.outbox.sent for link in self._links.values())
         )
         self.concerns = self._concerns_of(hosts)
         fault = self._cause_of(ending.fault)
-        if fault is None and self._asked.times and not holding:
+        if fault is None and self._stops.times and not holding:
             fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
         return replace(ending, fault=fault)
 
@@ -208,10 +208,10 @@ class HostFlight:
             return self._pause.blamed(fault)
         silent = self._nodes[fault.vehicle]
         if silent.ended and silent.ended.fault:
-            said = f"its last report: {silent.ended.fault.words}"
-            fault = replace(fault, notes=(*fault.notes, said))
-        heard_until_pause = self._pause.began_s - silent.heard_at < 0.5 * silent.lost_s
-        return self._pause.blamed(fault) if heard_until_pause else fault
+            report = f"its last report: {silent.ended.fault.words}"
+            fault = replace(fault, notes=(*fault.notes, report))
+        received_until_pause = self._pause.began_s - silent.received_at < 0.5 * silent.lost_s
+        return self._pause.blamed(fault) if received_until_pause else fault
 
     def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
         """Receive from all vehicles; the loop's data for them goes into the next lease."""
@@ -253,22 +253,22 @@ class HostFlight:
 
     def _listen(self) -> None:
         clock, book = self._party.clock, self._book
-        poses = newest_truth(self._truth.heard())
+        poses = newest_truth(self._truth.received())
         if poses is not None:
             book.note_truth({n: poses[n] for n in self._names if n in poses})
         for name, subscriber in self._ticks.items():
-            for at, data in subscriber.heard():
+            for at, data in subscriber.received():
                 box = self._flown[name]
                 if box.take(data, clock.of(at)) is Acceptance.TAKEN and box.newest is not None:
                     node = self._nodes[name]
-                    node.heard_at, node.newest = clock.of(at), box.newest.tick
+                    node.received_at, node.newest = clock.of(at), box.newest.tick
                     # a stop may reach a vehicle only, or much sooner
-                    self._asked.at_least(box.newest.stops, box.newest.stop_marks)
+                    self._stops.at_least(box.newest.stops, box.newest.stop_marks)
                     book.note_tick(name, box.newest)
                     assert self._observer is not None
                     self._observer.vehicle(name, box.newest.tick)
         for name, subscriber in self._events.items():
-            for at, data in subscriber.heard():
+            for at, data in subscriber.received():
                 end = self._ended[name]
                 if end.take(data, clock.of(at)) is Acceptance.TAKEN and end.newest is not None:
                     book.note_end(name, end.newest)
@@ -283,20 +283,20 @@ class HostFlight:
             except NetworkError:
                 continue  # it is lost, and its board's watchdog has closed the valves
 
-    def _hold(self, asked: Callable[[], int]) -> None:
+    def _hold(self, stops: Callable[[], int]) -> None:
         """Let the vehicles hold position until a stop, a fault of one of them, or the time."""
 
         def over() -> bool:
             nodes = self._nodes.values()
-            return asked() > 0 or not all(map(self._comes_to_rest, nodes))
+            return stops() > 0 or not all(map(self._comes_to_rest, nodes))
 
         self._listen_until(self._experiment.flight.ending.hold_s, over)
 
-    def _await_ends(self, asked: Callable[[], int]) -> None:
+    def _await_ends(self, stops: Callable[[], int]) -> None:
         """Receive until the vehicles are at rest; a silent vehicle is not waited for."""
 
         def over() -> bool:
-            if asked() > 1 and not self._at_once:
+            if stops() > 1 and not self._at_once:
                 self._at_once = True
                 self.lease()
                 self._stop_all("the operator stopped twice", at_once=True)
@@ -316,4 +316,6 @@ class HostFlight:
             self._listen()
 
     def _comes_to_rest(self, node: RemoteNode) -> bool:
-        return node.ended is None and self._party.clock.now - node.heard_at <= node.lost_s + WORDS_S
+        return (
+            node.ended is None and self._party.clock.now - node.received_at <= node.lost_s + WORDS_S
+        )
