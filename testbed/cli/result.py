@@ -18,7 +18,7 @@ from testbed.metrics.run_metrics import (
     Metrics,
     weakest_jet,
 )
-from testbed.report.page import OF_A_GOAL, ROWS, known, rounded
+from testbed.report.page import known, rounded, rows_of
 from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
 STOP_TOOK = 0.5  # a fault that was found so long before the end gets its own time [s]
@@ -57,10 +57,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
         grid.add_column(name, justify="right")
     grid.add_column("limit", justify="right", style="dim")
     together = metrics.formation
-    has_goals = not has_formation(experiment.controller)
-    for heading, key, scale, digits, criterion in ROWS:
-        if key in OF_A_GOAL and not has_goals:
-            continue
+    for heading, key, scale, digits, criterion in rows_of(experiment):
         cells = [
             _cell(
                 known(experiment, metrics, n, key), scale, digits,
@@ -83,7 +80,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
             f"{metrics.duration_s:.0f} s in {metrics.wall_s:.2f} s ({factor:.0f} x real time)"
         )
     out.print(", ".join(pieces))
-    if together is not None and not has_goals:
+    if together is not None and has_formation(experiment.controller):
         print_formation(out, together, experiment)
     for warning in metrics.warnings:
         out.print(f"warning: {warning.name}: {warning.text}", style="yellow", markup=False)

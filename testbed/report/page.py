@@ -53,6 +53,16 @@ TILES_JUDGED = {"nearest obstacle, centres": "clear_of_obstacles", "contacts": "
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 
 
+def rows_of(experiment: Experiment) -> list[tuple[str, str, float, int, str]]:
+    """Rows that apply to an experiment: a formation has no goals, a bare table no obstacle."""
+    has_goals = not has_formation(experiment.controller)
+    return [
+        row
+        for row in ROWS
+        if (has_goals or row[1] not in OF_A_GOAL) and (experiment.obstacles or row[1] != NEAREST)
+    ]
+
+
 class ReportError(TestbedError):
     """The report cannot be written, or its data cannot be read."""
 
@@ -328,12 +338,9 @@ def _criteria(scenario: Experiment, metrics: Metrics) -> str:
 
 
 def _results(scenario: Experiment, metrics: Metrics) -> str:
-    has_goals = not has_formation(scenario.controller)
     names = "".join(f"<th>{_dot(k)}{escape(name)}</th>" for k, name in enumerate(metrics.vehicles))
     rows = []
-    for heading, key, scale, digits, criterion in ROWS:
-        if (key in OF_A_GOAL and not has_goals) or (key == NEAREST and not scenario.obstacles):
-            continue
+    for heading, key, scale, digits, criterion in rows_of(scenario):
         cells = "".join(
             f"<td{MISSED * missed(scenario, metrics, name, key, criterion)}>"
             f"{_number(known(scenario, metrics, name, key), scale, digits)}</td>"
