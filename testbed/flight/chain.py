@@ -35,6 +35,7 @@ from testbed.flight.fired import note
 from testbed.flight.flow import flow_shares
 from testbed.flight.modulation import pulses
 from testbed.flight.plan import WEAKEST, in_microseconds
+from testbed.flight.pose_check import seen_elsewhere
 
 
 @compiled
@@ -54,7 +55,7 @@ def see(vehicle, samples):
     for k in range(samples.shape[0]):
         sample = samples[k]
         taken = estimator.update(p.filter, model, m, memory.fired, memory.flown, sample, told.t)
-        if taken and told.armed == 1:
+        if taken and told.armed == 1 and not seen_elsewhere(m.step):
             innovations.hear(
                 p.jets_known.innovations, fixed.jet_faults.innovations, memory.heard.innovations,
                 memory.flown, model, fixed.thrust_scale, sample,
@@ -104,7 +105,7 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     if row.state.known == 1 and armed:
         compare(
             p.jets_known, m.jet_faults, memory.heard, memory.fired, m.permanent, memory.permanent,
-            row, memory.flowed, m.thrust_scale,
+            row, m.estimator.step, memory.flowed, m.thrust_scale,
         )  # fmt: skip
         if p.online.each_jet:
             online.follow_jets(memory.fired, memory.heard, m.jet_faults.probed, p.gains.period)

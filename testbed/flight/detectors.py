@@ -9,6 +9,7 @@ from testbed.flight import bad_jet, innovations, permanent, reconfiguration
 from testbed.flight.hypotheses import DRAG, NUDGE, PULL, SURE, certain
 from testbed.flight.jet_faults import look, note_pull, pause
 from testbed.flight.permanent import heading_off, lateness, wrong_scale
+from testbed.flight.pose_check import seen_elsewhere
 from testbed.flight.record import NO_SETPOINT, record
 from testbed.flight.window import forget
 
@@ -51,17 +52,18 @@ MEMORY = record(
 
 
 @pasted
-def compare(p, m, heard, fired, always, window, row, duty, thrust_scale):
+def compare(p, m, heard, fired, always, window, row, step, duty, thrust_scale):
     """Compare the motion with the flow of the last plan; see `jet_faults.look`.
 
-    Poses that are old, refused or of another clock are no evidence about valves. After a late tick
-    the valves may have done something else than the plans say. The sums have that in them already,
-    so they begin anew.
+    Poses that are old, refused or of another clock are no evidence about valves. Neither is the way
+    to where the body is seen after a `step` of its poses, see estimator.MEMORY: no jet pushed it
+    there. After a late tick the valves may have done something else than the plans say. The sums
+    have that in them already, so they begin anew.
     """
     state, before = row.state, m.look
     if row.told.late_s > SPOILT * p.period / p.ticks:
         distrust(p, m, heard, fired, always, window)
-    ours = abs(row.told.clock_offset) < SAME_CLOCK
+    ours = abs(row.told.clock_offset) < SAME_CLOCK and not seen_elsewhere(step)
     if state.pose_age < p.trusted_age and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
         # a nudge passes, but it would stay in the sums of the whole flight

@@ -88,4 +88,10 @@ def note_step(m, dx, dy, turn, spread, spread_spin):
     if abs(et) > 2.0 * by + STEP * np.sqrt(spread_spin):
         m.step[2] = et
     m.going[:] = m.x[3:6]
-    return m.step[0] != 0.0 or m.step[1] != 0.0 or m.step[2] != 0.0
+    return seen_elsewhere(m.step)
+
+
+@compiled
+def seen_elsewhere(step):
+    """Whether a `step` as of `note_step` is one."""
+    return step[0] != 0.0 or step[1] != 0.0 or step[2] != 0.0

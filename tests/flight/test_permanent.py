@@ -184,7 +184,7 @@ def test_old_poses_silence_it_until_the_next_second(flight):
     row.state.pose_age, still = 0.2, np.zeros(len(flight.memory.begun))
     detectors.compare(
         flight.p, fixed.jet_faults, flight.memory.heard, flight.memory.fired, flight.m,
-        flight.memory.permanent, row, still, 1.0,
+        flight.memory.permanent, row, np.zeros(3), still, 1.0,
     )  # fmt: skip
     assert flight.sigmas(TURNED) == 0.0
     flight.second(ROTATED, np.radians(15.0))
