@@ -14,6 +14,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import print_text, show
 from testbed.cli.tracked import tracked
 from testbed.config import ConfigError, find, load
+from testbed.faults.catalogue import CATALOGUE
 from testbed.faults.drill import (
     Drill,
     Drilled,
@@ -100,6 +101,11 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
     for one in cases:
         if one.rightly is False:
             print_text(out, f"  {one.kind} was called {one.called}: {one.said}")
+    for row in drill.rows:
+        if row.alike:
+            what = " or ".join(CATALOGUE[row.kind].alike)
+            how = f"{row.kind} was called {what} ({row.alike})"
+            print_text(out, f"  {how}: a vehicle cannot tell them apart")
     for one in cases:
         if one.missed or one.late or one.contacts or one.early:
             text = msgspec.json.encode(replace(one, again="")).decode()

@@ -2,11 +2,16 @@
 
 A case is one row of the drill. Its name is that of its injection, or of what an operator would call
 it. `unnoticed` says why a case may pass without a response; its contacts count all the same.
+
+A frame that creeps begins to move all at once, and then evenly. To a vehicle that is the same as a
+push at once, and only fixed bodies tell them apart. A vehicle with the board of another one spins
+up, so the gate may shut its valves before a row of the fault table holds: that answers the fault,
+but does not name it.
 """
 
 from msgspec import Struct
 
-from testbed.core.codes import FaultId
+from testbed.core.codes import FaultId, InhibitReason
 from testbed.core.fault_injection import VALUES, Kind
 
 LINK = ("link_late", "link_out", "link_lost")
@@ -40,6 +45,8 @@ class Case(Struct, frozen=True):
     flown_s: float = SOON  # of flight after it began [s]
     on_wires: tuple[str, ...] = ()  # further names that only occur on wires
     unnoticed: str = ""  # why no response is needed; empty: one is
+    answers: tuple[str, ...] = ()  # ids of further faults that notice it without naming it
+    alike: tuple[str, ...] = ()  # ids that it cannot be told from: neither right nor wrong names
 
     @property
     def range(self) -> tuple[float, float] | None:
@@ -94,7 +101,9 @@ CATALOGUE: dict[str, Case] = {
         "shift_frame", (*SHIFTED, "poses_step_back", "pose_jumped", FaultId.FRAME_MOVED),
         (0.005, 0.05),
     ),
-    "frame_creeps": Case("creep_frame", (FaultId.FRAME_MOVED,), (0.01, 0.03), unnoticed=FOLLOWED),
+    "frame_creeps": Case(
+        "creep_frame", (FaultId.FRAME_MOVED,), (0.01, 0.03), unnoticed=FOLLOWED, alike=("nudged",)
+    ),
     "origin_moved": Case(
         "shift_frame", ("start",), (0.05, 0.15), at_start=True, unnoticed=FOLLOWED
     ),
@@ -122,7 +131,8 @@ CATALOGUE: dict[str, Case] = {
     "swap_jets": Case("swap_jets", (*PUSHED, *SCALED), flown_s=40.0),
     "reverse_jet": Case("reverse_jet", (*PUSHED, *SCALED), flown_s=40.0),
     "swap_boards": Case(
-        "swap_boards", (*PUSHED, *SCALED, "estimator_inconsistent"), flown_s=20.0
+        "swap_boards", (*PUSHED, *SCALED, "estimator_inconsistent"), flown_s=20.0,
+        answers=(InhibitReason.TOO_FAST.name.lower(),),
     ),
     "board_reboots": Case(
         "brown_out", ("battery_low", "board_silent"), lasts=(0.03, 0.1),

@@ -5,14 +5,14 @@ This module draws the cases and judges them; the rig flies them.
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.core.codes import FaultReport, Response
-from testbed.core.fault_injection import WITH_OTHER, Injection
+from testbed.core.fault_injection import OF_FRAME, WITH_OTHER, Injection
 from testbed.faults.catalogue import CATALOGUE
 from testbed.flight.arming import Check
 
@@ -20,8 +20,8 @@ BESIDE_BRAKE = 1.0  # beside the longest stop on board: the ticks before and aft
 BESIDE_PLANS = 0.05  # beside the periods of plans in flight: their way to the valves [s]
 ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s]
 WHEN = (2.0, 12.0)  # range of the injection time [s]
-# kinds after which the vehicle can no longer avoid a contact, and that only others can detect
-ADRIFT = ("kill_process", "brown_out", "leak", "empty_tank")
+# kinds after which the vehicle, and the other one of a swap, can no longer avoid a contact
+ADRIFT = ("kill_process", "brown_out", "leak", "empty_tank", "swap_boards")
 OTHERS = ("kill_process", "stop_process")
 # rows that also hold in flights without a fault
 ROUTINE = ("pose_stale", "neighbour_late", "link_late", "link_out", "neighbour_missing")
@@ -35,7 +35,7 @@ class Drilled(Struct, frozen=True):
     vehicle: str
     seed: int
     at_s: float
-    named: str  # id of the first fault that identifies it; empty: undetected
+    named: str  # id of the first fault that identifies or answers it; empty: undetected
     detected_s: float | None  # from its beginning to the response of the affected vehicle
     response: Response  # the most severe one of the affected vehicle
     shut_s: float | None  # from its beginning until all valves were shut; None: the run continued
@@ -53,13 +53,18 @@ class Drilled(Struct, frozen=True):
     refused: bool = False  # by the arming checks: nothing has moved
     called: str = ""  # id of the fault that ended the run, or of the first warning; empty: none
     said: str = ""  # its words
-    rightly: bool | None = None  # whether it is a name of the injected fault; null: nothing said
+    rightly: bool | None = None  # whether it names the fault; null: nothing said, or `alike`
 
     @property
     def missed(self) -> bool:
         """Whether it should have been noticed and was not."""
         may_pass = self.dormant or CATALOGUE[self.kind].unnoticed
         return self.detected_s is None and not may_pass
+
+    @property
+    def alike(self) -> bool:
+        """Whether it was called what it cannot be told from."""
+        return self.called in CATALOGUE[self.kind].alike
 
 
 class DrillRow(Struct, frozen=True):
@@ -84,6 +89,7 @@ class DrillRow(Struct, frozen=True):
     judged: int = 0  # cases in which something was said
     rightly: int = 0  # of them, those in which it was the right name
     called: dict[str, int] = {}  # ids that were said, and how often
+    alike: int = 0  # cases that were called what they cannot be told from; not in `judged`
 
 
 class Drill(Struct, frozen=True):
@@ -155,26 +161,45 @@ def refused(
     )  # fmt: skip
 
 
+def concerned(what: Injection, name: str, *, silent: bool) -> bool:
+    """Whether a vehicle's response counts; if the injected one is `silent`, the others' count."""
+    if what.kind in OF_FRAME:
+        return True
+    return (name in (what.vehicle, what.other)) != silent
+
+
+def without_means(what: Injection, touch: Iterable[str]) -> bool:
+    """Whether a vehicle that touched something had lost the means to keep clear."""
+    return what.kind in ADRIFT and not {what.vehicle, what.other}.isdisjoint(touch)
+
+
 def names_of(fault: FaultReport) -> set[str]:
     """Ids of a fault, and of the other vehicle's fault with which it stops."""
     return {fault.id, fault.origin.id}
 
 
 def called(
-    fault: FaultReport | None, rows: Sequence[tuple[float, str]], names: Sequence[str]
-) -> tuple[str, str, bool | None]:
+    fault: FaultReport | None, rows: Sequence[tuple[float, str]], names: Sequence[str],
+    alike: Sequence[str] = (),
+) -> tuple[str, str, bool | None]:  # fmt: skip
     """Id and words of what was said of a fault, and whether the id is right; see `Drilled`.
 
     Args:
         fault: that ended the run.
         rows: times and ids of the rows that held after the injection began.
         names: the right ones.
+        alike: those that it cannot be told from: neither right nor wrong.
     """
     if fault is not None:
-        return fault.origin.id, fault.words, not names_of(fault).isdisjoint(names)
+        rightly = not names_of(fault).isdisjoint(names)
+        undecided = not rightly and fault.origin.id in alike
+        return fault.origin.id, fault.words, None if undecided else rightly
     # healthy flights warn as well: such a row counts only as a name of the injected fault
     told = [row for _, row in sorted(rows) if row in names or row not in ROUTINE]
-    return (told[0], "a warning", told[0] in names) if told else ("", "", None)
+    if not told:
+        return "", "", None
+    rightly = told[0] in names
+    return told[0], "a warning", None if not rightly and told[0] in alike else rightly
 
 
 def answered(
@@ -251,7 +276,8 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
                 sum(not one.missed and not one.dormant and one.detected_s is None for one in own),
                 sum(one.rightly is not None for one in own),
                 sum(one.rightly is True for one in own),
-                dict(Counter(one.called for one in own if one.rightly is not None)),
+                dict(Counter(one.called for one in own if one.called)),
+                sum(one.alike for one in own),
             )
         )
     return Drill(

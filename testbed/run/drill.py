@@ -14,21 +14,22 @@ from msgspec.structs import asdict, replace
 from sim_twin.board import last_closing
 from testbed.config import Experiment, find, load
 from testbed.core.codes import FaultReport, Response
-from testbed.core.fault_injection import OF_FRAME, Injection
+from testbed.core.fault_injection import Injection
 from testbed.faults.catalogue import CATALOGUE
 from testbed.faults.drill import (
-    ADRIFT,
     ASKED,
     OTHERS,
     Drilled,
     answered,
     called,
     cases_of,
+    concerned,
     dead_within,
     deadline,
     draw,
     names_of,
     refused,
+    without_means,
 )
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import SILENT_S, host_fault, longest_silence
@@ -86,7 +87,7 @@ def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled
     assert twin.injector is not None
     began = twin.injector.began()[0]
     after = [(t, name, one) for t, name, one in notes.responses if t >= began]
-    own = [(t, one) for t, name, one in after if concerned(what, name)]
+    own = [(t, one) for t, name, one in after if _concerned(what, name)]
     named, found = answered(_named(row, what, notes, began), own, began)
     response = max((one for _, one in own), default=Response.NONE)
     over = ending.fault is not None
@@ -97,12 +98,12 @@ def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled
     ]  # fmt: skip
     helpless = [
         touch for touch in touches
-        if (what.kind in ADRIFT and what.vehicle in (touch.vehicle, touch.other))
+        if without_means(what, (touch.vehicle, touch.other))
         or (touch.t > ending.t and _moves(experiment, touch.other))
     ]  # fmt: skip
     adrift = len(helpless)
-    rows = [(t, one) for t, who, one in notes.rows if t >= began and concerned(what, who)]
-    told, said, rightly = called(ending.fault, rows, CATALOGUE[row].names)
+    rows = [(t, one) for t, who, one in notes.rows if t >= began and _concerned(what, who)]
+    told, said, rightly = called(ending.fault, rows, CATALOGUE[row].names, CATALOGUE[row].alike)
     early = tuple(sorted({fault.words for t, _, fault in notes.faults if t < began}))
     asked = sum(
         on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
@@ -135,13 +136,8 @@ def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled
     )
 
 
-def concerned(what: Injection, name: str) -> bool:
-    """Whether a vehicle's response counts; if the injected vehicle is dead, the others' count."""
-    if what.kind in OTHERS:
-        return name != what.vehicle
-    if what.kind in OF_FRAME:
-        return True
-    return name in (what.vehicle, what.other)
+def _concerned(what: Injection, name: str) -> bool:
+    return concerned(what, name, silent=what.kind in OTHERS)
 
 
 def _moves(experiment: Experiment, obstacle: str) -> bool:
@@ -164,11 +160,11 @@ def _limit(
 
 
 def _named(row: str, what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:
-    """Times and names of correct detections by the vehicles concerned."""
-    names = CATALOGUE[row].names
+    """Times and ids of what names or answers the fault, by the vehicles concerned."""
+    names = *CATALOGUE[row].names, *CATALOGUE[row].answers
     right = [
         (t, found) for t, who, found in notes.rows
-        if t >= began and found in names and concerned(what, who)
+        if t >= began and found in names and _concerned(what, who)
     ]  # fmt: skip
     for t, _, fault in notes.faults:
         right += [(t, name) for name in names if name in names_of(fault) and t >= began]
@@ -176,13 +172,18 @@ def _named(row: str, what: Injection, notes: Notes, began: float) -> list[tuple[
 
 
 def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
-    """Number of valves with flow after their limit; a landed vehicle has none."""
+    """Number of valves with flow after their limit; a landed vehicle has none.
+
+    The limit is that of the vehicle whose board the valves are connected to: one with the board of
+    another cannot shut its own.
+    """
     plant, count = rig.twin.plant, 0
     played = plant.played()
-    for k, name in enumerate(plant.names):
+    for k in range(len(plant.names)):
         landed = 1e9 * plant.landed.get(k, math.inf)
         shut = np.minimum(played.down[k], landed)
-        late = (shut > 1e9 * limits[name]) & (shut > played.up[k])
+        limit = limits[plant.names[plant.vehicle_of_board(k)]]
+        late = (shut > 1e9 * limit) & (shut > played.up[k])
         count += int(late.any(axis=1).sum())
     return count
 

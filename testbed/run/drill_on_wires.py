@@ -16,20 +16,21 @@ from msgspec.structs import replace
 from testbed.config import Experiment, dump
 from testbed.core.codes import FaultReport, Response
 from testbed.core.error import TestbedError
-from testbed.core.fault_injection import OF_FRAME, Injection
+from testbed.core.fault_injection import Injection
 from testbed.faults.catalogue import CATALOGUE, SOON
 from testbed.faults.drill import (
-    ADRIFT,
     OTHERS,
     Drilled,
     answered,
     called,
     cases_of,
+    concerned,
     dead_within,
     deadline,
     draw,
     names_of,
     refused,
+    without_means,
 )
 from testbed.flight.arming import Check
 from testbed.flight.loop import Ending
@@ -158,20 +159,21 @@ def judge(what: Injection, experiment: Experiment, flown: Flown, row: str = "") 
     names, flight = list(experiment.vehicles), experiment.flight
     began, report, listed = what.at_s or 0.0, flown.report, CATALOGUE[row or what.kind]
     wanted = (*listed.names, *listed.on_wires)
+    noticed = (*wanted, *listed.answers)
     right = [
         (t, found) for one in flown.ended.values() for found, t in one.rows.items()
-        if found in wanted and t >= began
+        if found in noticed and t >= began
     ]  # fmt: skip
     faults = [flown.fault, *(one.fault for one in flown.ended.values())]
     for fault in faults:
         if fault is not None:
-            right += [(_said_at(flown, fault), w) for w in wanted if w in names_of(fault)]
+            right += [(_said_at(flown, fault), w) for w in noticed if w in names_of(fault)]
     shut, late = 0.0, 0
     is_mute = what.kind in MUTE and what.for_s > FOR_GOOD
     is_silent = what.kind in OTHERS and what.for_s > FOR_GOOD
     own = [
         (t, one) for name, words in flown.ended.items() for one, t in words.responses.items()
-        if t >= began and (what.kind in OF_FRAME or (name == what.vehicle) != is_silent)
+        if t >= began and concerned(what, name, silent=is_silent)
     ]  # fmt: skip
     named, found = answered(right, own, began)
     end = max((one.t for one in flown.ended.values()), default=began)
@@ -194,7 +196,8 @@ def judge(what: Injection, experiment: Experiment, flown: Flown, row: str = "") 
     after = report.after(names, end - offset)
     helpless = [
         touch for touch in touches
-        if what.kind in (*ADRIFT, *MUTE) and what.vehicle in (touch.vehicle, touch.other)
+        if without_means(what, (touch.vehicle, touch.other))
+        or (what.kind in MUTE and what.vehicle in (touch.vehicle, touch.other))
     ]  # fmt: skip
     adrift = len(helpless)
     over = any(fault is not None for fault in faults)
@@ -202,9 +205,9 @@ def judge(what: Injection, experiment: Experiment, flown: Flown, row: str = "") 
     ended = next((fault for fault in faults if fault is not None), None)
     rows = [
         (t, one) for name, words in flown.ended.items() for one, t in words.rows.items()
-        if t >= began and (what.kind in OF_FRAME or (name == what.vehicle) != is_silent)
+        if t >= began and concerned(what, name, silent=is_silent)
     ]  # fmt: skip
-    told, said, rightly = called(ended, rows, wanted)
+    told, said, rightly = called(ended, rows, wanted, listed.alike)
     return Drilled(
         row or what.kind, experiment.name, what.vehicle, experiment.seed, began, named,
         found,

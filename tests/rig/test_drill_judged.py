@@ -145,3 +145,12 @@ def test_a_wrong_frame_concerns_every_vehicle():
     moved.ended["sat2"] = last
     found = judged("shift_frame", moved, "frame_bumped")
     assert (found.named, found.response) == ("pose_jumped", Response.BRAKE)
+
+
+def test_a_swap_concerns_both_vehicles():
+    swapped = flown([], None)
+    fault = FaultReport("pose_swapped", "x", "sat2")
+    swapped.ended["sat2"] = ended(3.0, fault, {"pose_swapped": 2.3}, {Response.BRAKE: 2.3})
+    found = judged("swap_bodies", swapped, other="sat2")
+    assert (found.named, found.response) == ("pose_swapped", Response.BRAKE)
+    assert found.detected_s == pytest.approx(0.3)
