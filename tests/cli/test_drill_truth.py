@@ -32,6 +32,13 @@ def test_the_gate_answers_swapped_boards_but_does_not_name_them():
     assert found.detected_s == pytest.approx(3.73, abs=0.1)
 
 
+def test_poses_that_freeze_and_dither_may_look_like_a_wall():
+    rng = np.random.default_rng([3, 48, zlib.crc32(b"dithered_freeze")])
+    found = drawn("dithered_freeze", "zhang2023_table", rng)
+    assert (found.called, found.rightly, found.response) == ("bumped", False, Response.BRAKE)
+    assert (found.named, found.missed) == ("bumped", False)
+
+
 @pytest.mark.parametrize("number", [5, 6, 20])
 def test_a_vehicle_is_not_asked_to_shut_the_valves_of_another(number):
     """It lands, and so the other one's valves are shut; its own obey the other one's brake."""
