@@ -7,9 +7,11 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
+from msgspec.structs import replace
+
 from controllers.pd import PdParams
 from testbed.config.experiment import Experiment
-from testbed.core.landing import GRAVITY
+from testbed.core.landing import GRAVITY, landing_delay
 from testbed.core.vehicle import Air, Jet, Landing, Valve, Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.modulation import PwmParams
@@ -23,17 +25,20 @@ SHORTEST_COAST = 1.0  # time constant of drag; U. Kentucky's turns stop with 1.1
 FASTEST_LANDING = 2.0  # [m/s]
 STEEPEST_LANDING = 0.1  # 0.6 deg; shipped tables have up to 0.02 [m/s^2]
 MOST_FRICTION = 1.0  # rubber on stone
+SOONER = 0.02  # of a landing: 4 mm at 0.2 m/s [s]
 OFF = 0.05  # distance from the goal at which no jet fires [m] [assumption]
 
 
 def doubtful_parts(experiment: Experiment, vehicle: Vehicle) -> Iterator[tuple[str, str]]:
     """Name and text of each warning about a vehicle's parts."""
     yield from _same_jets(vehicle.jets)
+    yield from _plumes(vehicle.jets)
     yield from _exhaust(vehicle.air)
     yield from _pulse(vehicle.valve, experiment.flight.jet_period_s)
     yield from _dead_band(experiment, vehicle)
     yield from _drag(vehicle)
     yield from _landing(vehicle.landing, min(experiment.table.size))
+    yield from _late_landing(experiment, vehicle.landing)
 
 
 def _same_jets(jets: Sequence[Jet]) -> Iterator[tuple[str, str]]:
@@ -46,6 +51,17 @@ def _same_jets(jets: Sequence[Jet]) -> Iterator[tuple[str, str]]:
     if pairs:
         text = f"jets {', '.join(pairs)} are at the same place and push the same way: listed twice?"
         yield "jets-twice", text
+
+
+def _plumes(jets: Sequence[Jet]) -> Iterator[tuple[str, str]]:
+    """Warn if every plume blows over the vehicle: then `push` is probably the plume's direction."""
+    outwards = [x * px + y * py for (x, y), (px, py) in ((one.position, one.push) for one in jets)]
+    if outwards and min(outwards) > SAME_PLACE:
+        yield (
+            "jets-turned",
+            "each jet pushes away from the vehicle's middle, so its plume blows over the vehicle:"
+            " `push` is where the body goes, opposite to the plume",
+        )
 
 
 def _exhaust(air: Air) -> Iterator[tuple[str, str]]:
@@ -120,3 +136,21 @@ def _landing(landing: Landing, side: float) -> Iterator[tuple[str, str]]:
     ):  # fmt: skip
         if value > most:
             yield "landing", f"landing.{name} is {value:g}{unit}: {compared}"
+
+
+def _late_landing(experiment: Experiment, landing: Landing) -> Iterator[tuple[str, str]]:
+    """Warn if the board turns the air off too late for this table and this speed."""
+    table, speed = experiment.table, experiment.flight.barrier.max_speed
+    nodes = [node for row in table.tilt.map for node in row] or [(0.0, 0.0)]
+    x, y = table.tilt.uniform
+    slope = max(math.hypot(x + ax, y + ay) for ax, ay in nodes)
+    here = replace(landing, speed=max(speed, landing.speed), slope=max(slope, landing.slope))
+    planned, needed = landing_delay(landing), landing_delay(here)
+    if planned > needed + SOONER:
+        yield (
+            "landing",
+            f"the board turns the air off {planned:.2g} s after its watchdog; at {here.speed:g} m/s"
+            f" on a slope of {here.slope:.2g} m/s^2 it would have to after {needed:.2g} s, to stop"
+            f" within landing.room, {landing.room:g} m: landing.speed is {landing.speed:g} m/s,"
+            f" landing.slope {landing.slope:g} m/s^2",
+        )

@@ -16,6 +16,7 @@ from testbed.config.error import did_you_mean
 from testbed.config.experiment import Experiment, VehicleSetup
 from testbed.config.hardware import WAYS, strength
 from testbed.config.parts import doubtful_parts
+from testbed.config.surroundings import doubtful_surroundings
 from testbed.core.law import Concern
 from testbed.core.se2 import wrap
 from testbed.core.table import Tilt
@@ -47,7 +48,7 @@ def doubts_of(experiment: Experiment) -> list[Concern]:
                 doubtful_parts(experiment, setup.model), _flight(experiment, setup)
             )
         ]
-    found += [Concern("cameras", text) for text in _cameras(experiment)]
+    found += doubtful_surroundings(experiment)
     found += [Concern("obstacle-off-table", text) for text in _off_table(experiment)]
     return [*found, *_wires(experiment)]
 
@@ -186,20 +187,6 @@ def _gap(start: tuple[float, ...], end: tuple[float, ...], point: tuple[float, .
     along = b - a
     share = np.clip((p - a) @ along / max(along @ along, 1e-12), 0.0, 1.0)
     return float(np.hypot(*(a + share * along - p)))
-
-
-def _cameras(experiment: Experiment) -> Iterator[str]:
-    mocap = experiment.table.mocap
-    if mocap.noise > 0.02:
-        yield (
-            f"table.mocap.noise is {mocap.noise:g} m: published cameras have 0.0001 to 0.001 m;"
-            " mm meant?"
-        )
-    if mocap.noise_deg > 5.0:
-        yield (
-            f"table.mocap.noise_deg is {mocap.noise_deg:g} deg: published cameras have"
-            " 0.01 to 0.1 deg"
-        )
 
 
 def _off_table(experiment: Experiment) -> Iterator[str]:

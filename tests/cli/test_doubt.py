@@ -16,6 +16,7 @@ from testbed.identification.vehicle_file import load_vehicle
 MODEL = "vehicles.sat1.model"
 SHIPPED_ONES = sorted(path.stem for path in (SHIPPED / "experiments").glob("*.toml"))
 BLIND = {"zhang2023_table_pd", "zhang2023_table_lqr"}  # they show what avoidance avoids
+PUSHES = [(-1, 0), (-1, 0), (0, 1), (0, 1), (1, 0), (1, 0), (0, -1), (0, -1)]  # of generic_8jet
 DOUBTED = {  # what is changed: what is said
     "thrust": ([f"{MODEL}.jets.*.thrust=250"], ["thrust", "acceleration"]),
     "one jet": ([f"{MODEL}.jets.4.thrust=0.06"], ["jets-unequal", "jets-unequal"]),
@@ -44,6 +45,37 @@ DOUBTED = {  # what is changed: what is said
     "slope": (["table.tilt.uniform=[0.05,0.0]"], ["slope"]),
     "noise": (["table.mocap.noise=0.2"], ["cameras"]),
     "noise of the heading": (["table.mocap.noise_deg=9"], ["cameras"]),
+    "cameras in milliseconds": (
+        ["table.mocap.jitter_s=1", "table.mocap.dropout_s=50"], ["cameras"] * 2,
+    ),
+    "radio in milliseconds and percent": (
+        ["table.link.delay_s=5", "table.link.jitter_s=3", "table.link.loss=1.0"], ["radio"] * 3,
+    ),
+    "criteria in millimetres": (
+        ["criteria.hold_rms_m=1", "criteria.track_rms_m=1.5", "criteria.final_error_m=50"],
+        ["criterion"] * 3,
+    ),
+    "plumes for pushes": (
+        [f"{MODEL}.jets.{k}.push=[{-x},{-y}]" for k, (x, y) in enumerate(PUSHES, 1)],
+        ["jets-turned"],
+    ),
+    "a battery of 24 V": ([f"{MODEL}.gauges.undervoltage_v=20"], ["battery"]),
+    "arming of a battery of 24 V": (
+        ["arming.battery=22", "arming.battery_most=29", f"{MODEL}.gauges.undervoltage_v=20"],
+        ["battery"],
+    ),
+    "no voltmeter": (
+        [f"{MODEL}.gauges.battery=false", f"{MODEL}.gauges.undervoltage_v=0"], [],
+    ),
+    "a landing for a table that is more level": (
+        [f"{MODEL}.landing.room=0.2", "table.tilt.uniform=[0.03,0.0]"], ["landing"],
+    ),
+    "a landing for slower flights": (
+        [f"{MODEL}.landing.room=0.2", "flight.barrier.max_speed=0.25"], ["landing"],
+    ),
+    "a landing that fits": (
+        [f"{MODEL}.landing.room=0.2", "flight.barrier.max_speed=0.2"], [],
+    ),
     "a pulse that opens nothing": (
         [f"{MODEL}.valve.open_delay_s=0.05", f"{MODEL}.valve.min_on_s=0.001"], ["valve"],
     ),
