@@ -42,9 +42,9 @@ class WireScene:
         delays = [(t, p) for t, p in seen if p.setpoint_delay_s is not None]
         if delays:
             ages = [(t, 1e3 * (p.setpoint_delay_s or 0.0)) for t, p in delays]
-            self._column(f"plot/link/to {name}", ages)
+            self._column(f"plot/link/{name}_setpoints", ages)
             lost = [(t, 100.0 * lost_share(p)) for t, p in delays]
-            self._column(f"plot/loss/to {name}", lost)
+            self._column(f"plot/loss/{name}_setpoints", lost)
 
     def _driven(self, name: str, driven: list[SeenValves]) -> None:
         """Draw the opening and closing of each valve as reported by the board."""

@@ -166,8 +166,8 @@ def _plots(rec: rr.RecordingStream, scenario: Experiment) -> None:
             rec.log(f"plot/{what}/{name}", style, static=True)
         for path, words in (
             (f"plot/force/{name}_delivered", f"{name} delivered"),
-            (f"plot/link/to {name}", f"to {name}"),
-            (f"plot/loss/to {name}", f"to {name}"),
+            (f"plot/link/{name}_setpoints", f"to {name}"),
+            (f"plot/loss/{name}_setpoints", f"to {name}"),
         ):
             style = rr.SeriesLines(colors=[pale], names=plain(words), widths=1)
             rec.log(path, style, static=True)

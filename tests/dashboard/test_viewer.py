@@ -245,18 +245,19 @@ def test_addresses():
         one.bind(("127.0.0.1", free_port()))
 
 
-def test_a_recording_has_everything(run, tmp_path):
+def test_a_recording_has_everything(run, tmp_path, capfd):
     chunk = pytest.importorskip("rerun.chunk")
     from testbed.dashboard.recording import write_recording
 
     path = write_recording(run, tmp_path / "run.rrd")
+    assert capfd.readouterr().err == ""  # rerun warns of a space in a path
     found = {str(c.entity_path) for c in chunk.RrdReader(str(path)).stream().to_chunks()}
     for name in ("sat1", "sat2", "sat3"):
         wanted = {
             f"/world/vehicle/{name}", f"/world/vehicle/{name}/jets", f"/world/trail/{name}",
             f"/world/reference/{name}", f"/world/stop/{name}", f"/world/goal/{name}",
             f"/plot/error/{name}", f"/plot/force/{name}_delivered", f"/plot/gas/{name}",
-            f"/plot/link/{name}", f"/valve/{name}/jet_8",
+            f"/plot/link/{name}", f"/plot/link/{name}_setpoints", f"/valve/{name}/jet_8",
         }  # fmt: skip
         assert wanted <= found, wanted - found
     assert {
