@@ -43,7 +43,7 @@ from testbed.flight.estimator import Array
 from testbed.flight.fault_warnings import FaultWarnings
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
-from testbed.flight.hypotheses import CAUSES, cause_of, ranked
+from testbed.flight.hypotheses import CAUSES, cause_of, leaking, ranked
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
@@ -358,12 +358,15 @@ class Agent:
             by = {Detector.JET_MISSING: m.weak_by, Detector.JET_LEAKS: m.leak_by}
             if by.get(detector) == INNOVATIONS:
                 found = m.innovations
+            doubtful = detector == Detector.JET_LEAKS_OR_WEAK
+            if doubtful and m.innovations.leak.gain > m.leak.gain:  # as innovations_hear_more
+                found = m.innovations
             return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)
         step = self.memory.fixed[0].estimator.step
         match detector:
             case Detector.JET_OPEN:
                 leak = m.innovations.leak if m.leak_by == INNOVATIONS else m.leak
-                return str(leak.jet + 1)
+                return leaking(leak).removeprefix("jet ")
             case Detector.LATE_STEP | Detector.FRAME_STEP | Detector.HEADING_STEP:
                 far, turn = math.hypot(step[0], step[1]), math.degrees(step[2])
                 return f"{1e3 * far:.0f} mm and {turn:.1f} deg away from one pose to the next"

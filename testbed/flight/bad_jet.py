@@ -6,11 +6,12 @@ A jet is named only if it explains the motion better than every other cause.
 import numpy as np
 
 from testbed.core.compiled import compiled
-from testbed.flight.hypotheses import CLEAR, LEAK, NUDGE, SURE, WEAK, beyond, outlasts
+from testbed.flight.hypotheses import CLEAR, LEAK, NUDGE, SIMILAR, SURE, WEAK, beyond, outlasts
 
 NOTHING, NEAR, INNOVATIONS, FAR = range(4)  # windows that may be sure of a jet
 ENOUGH = 0.2  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
+FINE = 0.1  # the same by the innovations
 UNSURE = 0.2  # the same beside a jet that is stuck open, whose thrust is not known exactly
 LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 UNLIKE = 0.6  # largest gain of a leak beside it, as a share
@@ -20,8 +21,8 @@ DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known bette
 # its file, however long it fires, and often less. So 4.3 sigma of the innovations are enough, if
 # they last for more looks in which it fires than this.
 LIKELY_LOOKS = 3
+LEAK_LOOKS = 10  # of a leak that is not large
 SURE_LOOKS = 1  # of 5 sigma: a single pulse that a board dropped lacks all of its thrust
-SIMILAR = 0.07  # as DOUBT, of a leak by the innovations
 CLEARER = 1.0  # as CLEAR, by the innovations: their gains are tens to hundreds
 
 
@@ -41,11 +42,22 @@ def leaks(m):
 
 @compiled
 def leaks_by_innovations(m):
-    """Whether the innovations name a large leak, and nothing else explains the motion."""
+    """Whether the innovations name a leak, a small one later, and nothing else explains the motion.
+
+    Two jets that push alike explain it alike; both are named then, see hypotheses.leaking. Beside a
+    jet that was probed for long enough a leak needs no margin: the probe has told them apart.
+    """
     found, leak = m.innovations, m.innovations.leak
-    other = max(beyond(found.gains, LEAK), leak.next)
+    other = 0.0
+    for kind in range(NUDGE):
+        if kind != LEAK and (kind != WEAK or m.tested == 0):
+            other = max(other, found.gains[kind])
     clear = leak.gain > SURE and leak.gain > other + CLEARER + SIMILAR * min(leak.gain, other)
-    return clear and leak.share > ENOUGH and found.leak_held > 1 and leak.gain > nudge_of(m) + CLEAR
+    clear = clear and leak.gain > found.weak.gain + CLEARER
+    large = leak.share > ENOUGH and found.leak_held > 1
+    lasts = leak.share > max(FINE, trace(m)) and found.leak_held > LEAK_LOOKS
+    lasts = lasts and leak.gain > LONG_SURE
+    return clear and (large or lasts) and leak.gain > nudge_of(m) + CLEAR
 
 
 @compiled
@@ -157,6 +169,21 @@ def leaks_or_is_weak(m):
         and m.leak.share > trace(m)
     )
     return may and outlasts(m.gains, LEAK)
+
+
+@compiled
+def weak_is_likely(m):
+    """Whether a weak jet explains nearly as much as a leak, by the window that heard more."""
+    leak, weak = m.innovations.leak.gain, m.innovations.weak.gain
+    if innovations_hear_more(m):
+        return weak > leak - CLEARER - SIMILAR * min(leak, weak)
+    return m.weak.gain > m.leak.gain - apart(m.leak.gain, m.weak.gain)
+
+
+@compiled
+def innovations_hear_more(m):
+    """Whether the innovations, and not the short window, say which leak is in doubt."""
+    return m.innovations.leak.gain > m.leak.gain
 
 
 @compiled

@@ -50,6 +50,7 @@ LEAST_NUDGE = 5e-3  # [m/s]; less does not disturb a flight
 WORTH = 8.0  # least gain of a cause that gets a number: 4 sigma
 SURE = 12.5  # of one that brakes, or refutes others: 5 sigma
 CLEAR = 3.0  # difference in gain that separates two causes (a factor e^3 in likelihood)
+SIMILAR = 0.07  # of the smaller gain, beside that: no file knows how a jet pushes more exactly
 
 
 @compiled
@@ -204,7 +205,7 @@ def words(m: Any, kind: int, mass: float) -> str:
             much = (
                 "all" if m.leak.share >= 1.0 else f"{m.leak.share:.0%}"
             )  # the estimate may exceed 1
-            return f"jet {m.leak.jet + 1} leaks {much} of its thrust"
+            return f"{leaking(m.leak)} leaks {much} of its thrust"
         case k if k == WEAK:
             return f"jet {m.weak.jet + 1} gives {1.0 - m.weak.share:.0%} of its thrust"
         case k if k == PULL:
@@ -222,6 +223,14 @@ def words(m: Any, kind: int, mass: float) -> str:
         case k if k == NUDGE:
             return f"a nudge of {1e3 * size:.0f} mm/s"
     return f"poses are {size:.2f} s late"
+
+
+def leaking(leak: Any) -> str:
+    """The jet that leaks; two, if they push so much alike that either may be the one."""
+    text = f"jet {leak.jet + 1}"
+    if leak.next > leak.gain - CLEAR - SIMILAR * leak.next:
+        text += f" or jet {leak.other + 1}"
+    return text
 
 
 def ranked(m: Any, kind: int, mass: float) -> str:

@@ -110,6 +110,7 @@ MEMORY = record(
     pulled=float,  # size of the pull of which the long window is sure [m/s^2]; 0: none
     flies_open=int,  # 1: a jet that is stuck open is compensated
     probed=int,  # the jet that is compensated on a doubt, from 1; 0: none
+    tested=int,  # 1: for long enough, and a leak of another one explains more
     far=record(**VERDICT),  # of the long window
     innovations=innovations.MEMORY,
     leak_by=int,  # window that is sure of a leak, see bad_jet.py

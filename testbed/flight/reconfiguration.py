@@ -15,8 +15,17 @@ from numpy.typing import NDArray
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
 from testbed.flight import innovations
-from testbed.flight.bad_jet import DOUBT, INNOVATIONS, leak_of, weak_of
+from testbed.flight.bad_jet import (
+    CLEARER,
+    DOUBT,
+    INNOVATIONS,
+    innovations_hear_more,
+    leak_of,
+    weak_is_likely,
+    weak_of,
+)
 from testbed.flight.effectiveness import SPREAD
+from testbed.flight.hypotheses import SURE
 from testbed.flight.jet_faults import AGAIN, CALM, pause_windows
 from testbed.flight.window import clear
 
@@ -107,7 +116,9 @@ def suspicion_of(suspected, detector):
     """
     if names_a_leak(detector):
         return leak_of(suspected)
-    return suspected.weak if detector == DOUBTFUL else weak_of(suspected)
+    if detector != DOUBTFUL:
+        return weak_of(suspected)
+    return suspected.innovations.weak if innovations_hear_more(suspected) else suspected.weak
 
 
 @compiled
@@ -136,6 +147,13 @@ def is_a_guess(suspected, detector):
     near = found.leak.gain > (1.0 - DOUBT) * found.weak.gain
     guessed = not names_a_leak(detector) and suspected.weak_by == INNOVATIONS and near
     return detector == DOUBTFUL or guessed
+
+
+@compiled
+def is_no_probe(suspected, detector):
+    """Whether a leak is in doubt, but with another cause than a weak jet: a probe tells nothing."""
+    first = detector == DOUBTFUL and suspected.probed == 0
+    return first and not weak_is_likely(suspected)
 
 
 @compiled
@@ -196,10 +214,20 @@ def take_back(m, fired, named):
 
 @compiled
 def end_probe(p, m, heard, fired, named, t):
-    """Trust a jet that was probed for long enough; `p` and `m` are jet_faults' Known and MEMORY."""
-    if m.probed > 0 and t - named[m.probed - 1] > PROBE_S:
-        m.probed = 0
-        believe(p, m, heard, fired)
+    """Trust a jet that was probed for long enough; `p` and `m` are jet_faults' Known and MEMORY.
+
+    If a leak of another one explains more by then, it was not that jet; if both explain as much,
+    because the jet still fires all the time, the doubt goes on.
+    """
+    m.tested = 0
+    if m.probed == 0 or t - named[m.probed - 1] <= PROBE_S:
+        return
+    leak, weak = m.innovations.leak.gain, m.innovations.weak.gain
+    if leak > SURE and leak > weak - CLEARER:
+        m.tested = 1
+        return
+    m.probed = 0
+    believe(p, m, heard, fired)
 
 
 @compiled

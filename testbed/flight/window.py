@@ -27,6 +27,7 @@ SUSPICION = record(  # the best of its kind
     share=float,  # of the jet's thrust
     gain=float,  # in log-likelihood; 0: no suspicion
     next=float,  # gain of the next best jet
+    other=int,  # that jet
 )
 
 VERDICT: dict[str, Kind] = {
@@ -233,10 +234,10 @@ def suspect_jets(squares, fits, own, n, found):
         gain = share * fits[h] - 0.5 * share * share * own[h]
         if gain > one.gain:
             if one.jet != h % n:
-                one.next = one.gain
+                one.next, one.other = one.gain, one.jet
             one.jet, one.share, one.gain = h % n, abs(share), gain
         elif gain > one.next and one.jet != h % n:
-            one.next = gain
+            one.next, one.other = gain, h % n
 
 
 @compiled
@@ -282,6 +283,6 @@ def decide(window, least, y, period, every, found):
 @compiled
 def forget(found):
     """Suspect nothing."""
-    found.leak.jet, found.leak.share, found.leak.gain, found.leak.next = 0, 0.0, 0.0, 0.0
-    found.weak.jet, found.weak.share, found.weak.gain, found.weak.next = 0, 0.0, 0.0, 0.0
+    for one in (found.leak, found.weak):
+        one.jet, one.share, one.gain, one.next, one.other = 0, 0.0, 0.0, 0.0, 0
     found.gains[:] = found.sizes[:] = found.way[:] = 0.0

@@ -11,7 +11,7 @@ from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight import bad_jet, hypotheses, jet_faults
-from testbed.flight.bad_jet import LIKELY_LOOKS, SURE_LOOKS
+from testbed.flight.bad_jet import LEAK_LOOKS, LIKELY_LOOKS, SURE_LOOKS
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import LATE, LEAK, NUDGE, PULL, WEAK
 from testbed.flight.jet_faults import BUMPS, SLOPE, slopes
@@ -148,11 +148,19 @@ def test_the_innovations_name_a_jet_only_if_it_explains_most(changes, named, veh
     [
         ({}, True),
         ({"gain": 12.4}, False),
-        ({"share": 0.19}, False),  # by the windows of looks, which take longer
+        ({"share": 0.19}, False),
+        ({"share": 0.19, "leaks": LEAK_LOOKS}, False),
+        ({"share": 0.19, "leaks": LEAK_LOOKS + 1}, True),
+        ({"share": 0.19, "leaks": LEAK_LOOKS + 1, "gain": 17.9}, False),
+        ({"share": 0.19, "leaks": LEAK_LOOKS + 1, "open": 1}, False),  # may be an error of that jet
+        ({"share": 0.09, "leaks": LEAK_LOOKS + 1}, False),  # by the windows of looks
         ({"leaks": 1}, False),  # only once
-        ({"next": 39.5}, False),  # another jet
+        ({"next": 39.5}, True),  # another jet pushes alike: both are named
         ({"weak": 36.5}, False),  # the opposite one is nearly as likely
         ({"weak": 36.0}, True),
+        ({"weak": 38.9, "tested": 1}, True),  # it was probed
+        ({"weak": 39.1, "tested": 1}, False),
+        ({"late": 36.5, "tested": 1}, False),
         ({"nudge": 38.0}, False),
     ],
 )
@@ -163,6 +171,8 @@ def test_the_innovations_name_a_leak_that_is_large_and_clear(changes, named, veh
     found.leak.gain = found.gains[LEAK] = changes.get("gain", 40.0)
     found.leak.next, found.leak_held = changes.get("next", 0.0), changes.get("leaks", 2)
     found.weak.gain = found.gains[WEAK] = changes.get("weak", 0.0)
+    found.gains[LATE] = changes.get("late", 0.0)
+    evidence.m.tested, evidence.m.flies_open = changes.get("tested", 0), changes.get("open", 0)
     evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
     evidence.m.weak.gain, evidence.m.weak.share = 100.0, 1.0
     evidence.m.gains[WEAK] = 100.0
@@ -282,6 +292,6 @@ def test_a_jet_is_not_doubted_while_the_long_window_is_sure_of_a_pull():
 @pytest.mark.parametrize(("share", "much"), [(0.3, "30%"), (0.996, "100%"), (1.2, "all")])
 def test_no_jet_is_said_to_leak_more_than_all(share, much):
     """The estimate of a leak ends at 1.2 of the thrust in the file."""
-    leak = SimpleNamespace(jet=4, share=share)
+    leak = SimpleNamespace(jet=4, share=share, gain=40.0, next=0.0)
     verdict = SimpleNamespace(sizes=np.zeros(9), leak=leak)
     assert hypotheses.words(verdict, hypotheses.LEAK, 10.0) == f"jet 5 leaks {much} of its thrust"
