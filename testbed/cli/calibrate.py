@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import refuse, warn
 from testbed.cli.screen import print_text
+from testbed.cli.steps import Steps
 from testbed.core.error import TestbedError
 from testbed.core.vehicle import Vehicle
 from testbed.identification.calibration_file import report_of, save
@@ -39,7 +40,7 @@ from testbed.identification.validation_page import write_page
 from testbed.identification.vehicle_file import load_vehicle
 
 screen = Console(highlight=False, soft_wrap=True)
-steps = Console(stderr=True, highlight=False, soft_wrap=True)
+screen_of_steps = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def today() -> Any:
@@ -64,11 +65,12 @@ def refused(error: TestbedError, *, as_json: bool) -> int:
     return refuse(error, BAD_INPUT)
 
 
-def read_logs(given: FlightLogs) -> list[MotionLog]:
+def read_logs(given: FlightLogs, progress: Callable[[str], None]) -> list[MotionLog]:
     """Read logs or run folders; rows outside the given time are marked as not whole."""
     paths, mapping, body, since, until = given
     logs = []
     for path in paths:
+        progress(f"read {path}")
         if path.is_dir() or (mapping is None and path.suffix.lower() == ".mcap"):
             log = read_run_log(path, body)
         elif mapping is None:
@@ -99,11 +101,12 @@ def motion(
 ) -> int:  # fmt: skip
     """Fit a vehicle and write its file, and the slope of the table."""
     try:
-        logs = read_logs(given)
-        found = calibrate_motion(
-            logs, load_vehicle(vehicle), others=vehicles_of(given.mapping), force=force,
-            progress=lambda text: None if as_json else print_text(steps, text, "dim"),
-        )  # fmt: skip
+        with Steps(screen_of_steps, silent=as_json) as progress:
+            logs = read_logs(given, progress)
+            found = calibrate_motion(
+                logs, load_vehicle(vehicle), others=vehicles_of(given.mapping), force=force,
+                progress=progress,
+            )  # fmt: skip
         if out is not None:
             save(out, found, vehicle, logs, today())
         if table_out is not None:
@@ -153,12 +156,14 @@ def check_against(
 ) -> int:  # fmt: skip
     """Predict logs and print how far off the twin is."""
     try:
-        logs = read_logs(given)
-        own = load_vehicle(vehicle)
-        other = load_vehicle(against) if against else None
-        surface = load_table(table) if table else None
-        doubts = doubts_about(logs, own, vehicles_of(given.mapping))
-        result, errors = validate(logs, own, other, surface)
+        with Steps(screen_of_steps, silent=as_json) as progress:
+            logs = read_logs(given, progress)
+            own = load_vehicle(vehicle)
+            other = load_vehicle(against) if against else None
+            surface = load_table(table) if table else None
+            doubts = doubts_about(logs, own, vehicles_of(given.mapping), progress)
+            progress("predict the logs")
+            result, errors = validate(logs, own, other, surface)
         seen = [log.where for log in logs if _knows(vehicle, log)]
         result |= {
             "files": {"vehicle": vehicle, "against": against, "table": table},
@@ -273,9 +278,12 @@ def mocap(
         else:
             if vehicle is None:
                 raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
-            log, own = read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
-            doubts = admitted([log], own, vehicles_of(mapping), force=force)
-            result = seen_in_flight(log, own)
+            with Steps(screen_of_steps, silent=as_json) as progress:
+                progress(f"read {path}")
+                log, own = read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
+                doubts = admitted([log], own, vehicles_of(mapping), progress, force=force)
+                progress("fit the cameras' numbers")
+                result = seen_in_flight(log, own)
             if not as_json:
                 warn([f"{one.name}: {one.text}" for one in doubts])
     except TestbedError as error:

@@ -4,11 +4,20 @@ from pathlib import Path
 from typing import Any
 
 from testbed.cli.base_table import table_of
-from testbed.cli.calibrate import print_json, read_logs, refused, screen, today, vehicles_of
+from testbed.cli.calibrate import (
+    print_json,
+    read_logs,
+    refused,
+    screen,
+    screen_of_steps,
+    today,
+    vehicles_of,
+)
 from testbed.cli.exit_code import OK
 from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import warn
 from testbed.cli.screen import print_text
+from testbed.cli.steps import Steps
 from testbed.core.error import TestbedError
 from testbed.identification.calibration_file import save_with_map
 from testbed.identification.floor import flat_fit, learn_floor
@@ -26,14 +35,17 @@ def floor(
 ) -> int:  # fmt: skip
     """Learn the slope map; write it as a table file, its vehicle and a page."""
     try:
-        logs = read_logs(given)
-        own = load_vehicle(vehicle)
-        base = load_table(table) if table or given.mapping else table_of(given.paths, None)
-        named = load_mapping(given.mapping).table if given.mapping else None
-        span = size or named or base.size
-        doubts = admitted(logs, own, vehicles_of(given.mapping), force=force)
-        found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
-        model, p = flat_fit(logs, own)
+        with Steps(screen_of_steps, silent=as_json) as progress:
+            logs = read_logs(given, progress)
+            own = load_vehicle(vehicle)
+            base = load_table(table) if table or given.mapping else table_of(given.paths, None)
+            named = load_mapping(given.mapping).table if given.mapping else None
+            span = size or named or base.size
+            doubts = admitted(logs, own, vehicles_of(given.mapping), progress, force=force)
+            progress("learn the slope map")
+            found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
+            progress("fit on a level table, to compare")
+            model, p = flat_fit(logs, own)
         surface = with_map(base, found.slope, found.size)
         origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
         if out is not None:

@@ -18,7 +18,8 @@ LARGEST = 2_000_000_000  # size of a file [bytes]
 
 def digest(path: Path) -> str:
     """SHA-256 of a file's bytes, in hex."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_columns(

@@ -33,6 +33,8 @@ def read_csv(
         wanted: columns that must hold numbers; None: all.
         chosen: only rows with one of these values in a column are read.
     """
+    if wanted and not chosen and (plain := _plain(path, wanted)):
+        return plain
     names, rows = read_rows(path, None if wanted is None else wanted.union(chosen))
     for name, values in chosen.items():
         if name not in names:
@@ -50,15 +52,34 @@ def read_csv(
     }
 
 
+def _plain(path: Path, wanted: set[str]) -> dict[str, Array] | None:
+    """Columns of a file of plain numbers, read in one go; None: it needs a closer look."""
+    lines = _lines(path)
+    above, mark, names = _head(lines, wanted) if lines else (0, ",", [])
+    rows = lines[above + 1 :]
+    if not rows or any(names.count(name) != 1 for name in wanted):
+        return None
+    if any(row.count(mark) != len(names) - 1 for row in rows):
+        return None
+    if mark != "," and not any("." in row for row in rows):
+        rows = [row.replace(",", ".") for row in rows]
+    columns = [k for k, name in enumerate(names) if name in wanted]
+    try:
+        table = np.loadtxt(rows, delimiter=mark, comments=None, usecols=columns, ndmin=2)
+    except ValueError:
+        return None
+    nothing = np.full(len(rows), np.nan)
+    found = dict.fromkeys(filter(None, names), nothing)
+    return found | {names[k]: table[:, i].copy() for i, k in enumerate(columns)}
+
+
 def read_rows(path: Path, wanted: set[str] | None) -> tuple[list[str], list[Row]]:
     """Names of the columns, and the rows below; decimal commas of `wanted` columns are points.
 
     Raises:
         LogRefusedError: a row has another length, or two columns have one name.
     """
-    lines = [line for line in _text(path).splitlines() if line.strip()]
-    while lines and lines[0].startswith(("#", "%")):
-        lines.pop(0)
+    lines = _lines(path)
     if not lines:
         raise LogRefusedError(where=str(path), expected="names and numbers", found="an empty file")
     above, mark, names = _head(lines, wanted)
@@ -89,6 +110,13 @@ def read_rows(path: Path, wanted: set[str] | None) -> tuple[list[str], list[Row]
     if mark != ",":
         _with_points(rows, [k for k, name in enumerate(names) if not wanted or name in wanted])
     return names, rows
+
+
+def _lines(path: Path) -> list[str]:
+    """Lines of a file without empty ones, and without notes at its top."""
+    lines = [line for line in _text(path).splitlines() if line.strip()]
+    notes = (k for k, line in enumerate(lines) if not line.startswith(("#", "%")))
+    return lines[next(notes, len(lines)) :]
 
 
 def _head(lines: Sequence[str], wanted: set[str] | None) -> tuple[int, str, list[str]]:

@@ -15,7 +15,8 @@ from sim_twin.plant_parameters import nominal_plant
 from testbed.core.error import TestbedError
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
-from testbed.identification.estimate import linearise, normal
+from testbed.identification.estimate import linearise
+from testbed.identification.linearised import normal
 from testbed.identification.model import VehicleModel
 from testbed.identification.motion import IDENTIFIABLE, SURE
 from testbed.identification.motion_log import MotionLog
@@ -83,8 +84,8 @@ def _one(
     noise = np.radians(table.mocap.noise_deg)
     scales = np.array([table.mocap.noise, table.mocap.noise, noise])
     states = [first_guess(windows, np.isfinite(windows.marks))]
-    pieces, _ = linearise(model, model.prior, free, [windows], states, np.maximum(scales, 1e-6))
-    matrix, _ = normal(pieces, np.ones(len(pieces)))
+    pieces = linearise(model, model.prior, free, [windows], states, np.maximum(scales, 1e-6))
+    matrix, _ = normal(pieces, np.ones(len(windows.rows)))
     known = np.diag(model.sigma)
     relative = known @ matrix @ known + np.eye(len(free))
     covariance = known @ np.linalg.inv(relative) @ known

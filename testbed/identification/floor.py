@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.vehicle import Vehicle
-from testbed.identification.estimate import SCALES, Piece, huber, linearise, noise_of, normal
+from testbed.identification.estimate import SCALES, follow, huber, linearise, noise_of
+from testbed.identification.linearised import Pieces, normal
 from testbed.identification.model import VehicleModel
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves
@@ -71,30 +72,26 @@ def _fit(
     p = model.prior.copy()
     nodes = shape[0] * shape[1]
     half = np.array(size) / 2.0
-    weights_of = [_node_weights(w, half, shape) for w in windows]
+    ways = [_ways(w, half, shape) for w in windows]
     precision = _precision(model, free, size, shape, reach)
     heights = np.zeros((nodes, 2))
     states = [first_guess(w, np.isfinite(w.marks)) for w in windows]
     scales = SCALES
-    pieces: list[Piece] = []
     prior = np.concatenate([model.prior[free], np.zeros(2 * nodes)])
     for turn in range(TURNS):
         model.ground = model.ground._replace(
             half=half if nodes else model.ground.half, map=heights.reshape(*shape, 2)
         )
-        pieces, rest = linearise(model, p, free, windows, states, scales)
-        pieces, rest = _with_map(pieces, rest, weights_of, scales)
+        pieces = linearise(model, p, free, windows, states, scales, ways)
         robust = huber(pieces)
-        level = float(np.average([np.mean(q.error**2) for q in pieces], weights=robust))
+        level = float(np.average(pieces.square, weights=robust))
         now = np.concatenate([p[free], heights.T.ravel()])
         matrix, side = normal(pieces, robust / level)
         step = np.linalg.solve(matrix + precision, side + precision @ (prior - now))
         p[free] += step[: len(free)]
         p[free] = np.maximum(p[free], model.least[free])
         heights += step[len(free) :].reshape(2, nodes).T
-        for piece, (error, by_x, by_p) in zip(pieces, rest, strict=True):
-            state = np.linalg.lstsq(by_x, error - by_p @ step, rcond=None)[0]
-            states[piece.log][piece.window] += state
+        follow(states, pieces, step)
         if turn < TURNS - 1:
             scales = noise_of(pieces, scales)
     model.ground = model.ground._replace(map=heights.reshape(*shape, 2))
@@ -115,13 +112,13 @@ def groups_of(model: VehicleModel) -> list[str]:
     return [g for g in model.groups if g not in ("slope", "hold")]
 
 
-def _covariance(pieces: Sequence[Piece], weights: Array, matrix: Array, precision: Array) -> Array:
+def _covariance(pieces: Pieces, weights: Array, matrix: Array, precision: Array) -> Array:
     """Covariance that holds also where errors within a window go together.
 
     Each window is one observation; never less than independent errors would give.
     """
     inverse = np.linalg.inv(matrix + precision)
-    pulls = np.array([w * q.slope.T @ q.error for w, q in zip(weights, pieces, strict=True)])
+    pulls = weights[:, None] * pieces.side
     clustered = inverse @ (pulls.T @ pulls + precision) @ inverse
     grow = np.sqrt(np.maximum(1.0, np.diag(clustered) / np.diag(inverse)))
     return np.asarray(inverse * np.outer(grow, grow))
@@ -149,11 +146,11 @@ def _precision(
     return precision
 
 
-def _node_weights(windows: Windows, half: Array, shape: tuple[int, int]) -> list[Array]:
-    """Displacement at each pose by a unit slope at each node, window by window, (m, nodes)."""
+def _ways(windows: Windows, half: Array, shape: tuple[int, int]) -> Array:
+    """Displacement at each pose by a unit slope at each node, (w, m, nodes)."""
     rows, columns = shape
-    found = []
-    for own in windows.rows:
+    found = np.zeros((*windows.marks.shape, rows * columns))
+    for k, own in enumerate(windows.rows):
         t = windows.log.t[own]
         fine = np.arange(t[0], t[-1] + FINE, FINE)
         path = [np.interp(fine, t, windows.log.pose[own, axis]) for axis in (0, 1)]
@@ -171,25 +168,5 @@ def _node_weights(windows: Windows, half: Array, shape: tuple[int, int]) -> list
         way = np.cumsum(speed, axis=0) * FINE - 0.5 * FINE * speed
         at = np.minimum((t - t[0]) / FINE, len(fine) - 1.001)
         before, part = at.astype(int), (at % 1.0)[:, None]
-        found.append((1.0 - part) * way[before] + part * way[before + 1])
+        found[k, : len(own)] = (1.0 - part) * way[before] + part * way[before + 1]
     return found
-
-
-def _with_map(
-    pieces: Sequence[Piece], rest: Sequence[tuple[Array, Array, Array]],
-    weights_of: Sequence[Sequence[Array]], scales: Array,
-) -> tuple[list[Piece], list[tuple[Array, Array, Array]]]:  # fmt: skip
-    """Pieces with columns for the map."""
-    found, more = [], []
-    for piece, (error, by_x, by_p) in zip(pieces, rest, strict=True):
-        way = weights_of[piece.log][piece.window]
-        nodes = way.shape[1]
-        by_map = np.zeros((len(way), 3, 2 * nodes))
-        by_map[:, 0, :nodes] = way / scales[0]
-        by_map[:, 1, nodes:] = way / scales[1]
-        by_map = by_map.reshape(3 * len(way), 2 * nodes)
-        q, _ = np.linalg.qr(by_x)
-        clean = by_map - q @ (q.T @ by_map)
-        found.append(piece._replace(slope=np.hstack([piece.slope, clean])))
-        more.append((error, by_x, np.hstack([by_p, by_map])))
-    return found, more

@@ -10,16 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.identification.estimate import SCALES, Piece, huber, noise_of, normal
+from testbed.identification.estimate import SCALES, follow, huber, noise_of
+from testbed.identification.linearised import Pieces, linearised, normal
 from testbed.identification.model import VehicleModel
 from testbed.identification.prediction import Valves
-from testbed.identification.windows import Windows, first_guess, fly, fly_with_slopes
+from testbed.identification.windows import Windows, first_guess, pushed
 
 Array = NDArray[np.float64]
 DEAD = 0.35  # of the nominal thrust: at most this, with its interval
 WEAK = 0.75
 BETTER = 25.0  # of chi^2, by which an exchange must explain more
 LEVER = 0.2  # [m] of a free torque
+NUDGE = 0.05  # difference of a wrench, in units of `sizes`
 INFLATED = 2.0  # errors within a window go together
 BESIDE = ("delay", "hold", "slope", "drag", "spin_drag", "droop")  # fitted beside the wrenches
 
@@ -43,7 +45,7 @@ def examine(model: VehicleModel, p: Array, logs: Sequence[Windows]) -> list[JetF
     pieces = _linearised(model, p, logs, base, sizes)
     pieces = _linearised(model, p, logs, base, sizes, noise_of(pieces, SCALES))
     weights = huber(pieces)
-    level = float(np.average([np.mean(q.error**2) for q in pieces], weights=weights))
+    level = float(np.average(pieces.square, weights=weights))
     matrix, side = normal(pieces, weights / level)
     known = np.concatenate([np.ones(3 * jets), model.sigma[model.of_groups(BESIDE)] ** -2])
     covariance = np.linalg.inv(matrix / INFLATED**2 + np.diag(known))
@@ -93,37 +95,25 @@ def _opened(logs: Sequence[Windows], jet: int) -> bool:
 def _linearised(
     model: VehicleModel, p: Array, logs: Sequence[Windows], base: Array, sizes: Array,
     scales: Array = SCALES,
-) -> list[Piece]:  # fmt: skip
+) -> Pieces:  # fmt: skip
     """Windows linearised by the wrench of each jet, in units of `sizes`."""
-    jets = base.shape[1]
-    found = []
-    for number, windows in enumerate(logs):
-        use = np.isfinite(windows.marks)
-        states = first_guess(windows, use)
-        for _ in range(2):
-            flown, by_state = fly_with_slopes(model, p, windows, states)
-            for w, seen in enumerate(use):
-                lhs = (by_state[w, seen] / scales[:, None]).reshape(-1, 6)
-                rhs = ((windows.seen[w, seen] - flown[w, seen]) / scales).ravel()
-                states[w] += np.linalg.lstsq(lhs, rhs, rcond=None)[0]
-        flown, by_state = fly_with_slopes(model, p, windows, states)
-        beside = model.of_groups(BESIDE)
-        slopes = np.zeros((*flown.shape, 3 * jets + len(beside)))
-        for j in range(jets):
+    beside = model.of_groups(BESIDE)
+    flights = []
+    for windows in logs:
+        tried = [pushed(model, p, windows)]
+        for j in range(base.shape[1]):
             for axis in range(3):
                 effect = base.copy()
-                effect[axis, j] += 0.05 * sizes[axis]
-                moved = fly(model, p, windows, states, effect)
-                slopes[..., 3 * j + axis] = (moved - flown) / 0.05
-        for k, own in enumerate(beside):
+                effect[axis, j] += NUDGE * sizes[axis]
+                tried.append(pushed(model, p, windows, effect))
+        for own in beside:
             nudged = p.copy()
             nudged[own] += model.step[own]
-            moved = fly(model, nudged, windows, states)
-            slopes[..., 3 * jets + k] = (moved - flown) / model.step[own]
-        for w, seen in enumerate(use):
-            error = ((windows.seen[w, seen] - flown[w, seen]) / scales).ravel()
-            by_x = (by_state[w, seen] / scales[:, None]).reshape(-1, 6)
-            by_e = (slopes[w, seen] / scales[:, None]).reshape(-1, slopes.shape[-1])
-            q, _ = np.linalg.qr(by_x)
-            found.append(Piece(number, w, error - q @ (q.T @ error), by_e - q @ (q.T @ by_e)))
-    return found
+            tried.append(pushed(model, nudged, windows))
+        flights.append(tried)
+    steps = np.concatenate([np.full(3 * base.shape[1], NUDGE), model.step[beside]])
+    states = [first_guess(windows, np.isfinite(windows.marks)) for windows in logs]
+    for _ in range(2):
+        alone = linearised([own[:1] for own in flights], np.zeros(0), logs, states, scales)
+        follow(states, alone, np.zeros(0))
+    return linearised(flights, steps, logs, states, scales)

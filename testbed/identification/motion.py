@@ -114,15 +114,16 @@ def _calibrated(
     start = model.prior.copy()
     free = model.of_groups(chosen)
     start[free] = wide.p[free]
+    progress("fit the chosen parameters")
     estimate = fit(model, windows, chosen, start)
     if model.valves:
         doubts += between_logs(model, estimate, windows)
     refusing = [one for one in doubts if one.refuses]
     if refusing and not force:
         raise RefusedError(refusing, where)
-    progress("hold what the logs do not tell")
+    progress("find what the logs do not tell")
     found = Calibration(vehicle, model, estimate, wide, chosen, gains, jets, doubts, windows, [])
-    found = _settled(found)
+    found = _settled(found, progress)
     found = found._replace(suspicions=[*found.suspicions, *_out_of_time(found)])
     return found._replace(vehicle=model.fitted(found.estimate.p))
 
@@ -149,7 +150,7 @@ def _out_of_time(c: Calibration) -> list[Suspicion]:
     return [Suspicion("negative-delay", f"{text} {', or '.join(causes)}", refuses=False)]
 
 
-def _settled(c: Calibration) -> Calibration:
+def _settled(c: Calibration, progress: Callable[[str], None]) -> Calibration:
     """The calibration with what the logs do not tell held at the file's value.
 
     With it held there, the groups are chosen again and the other numbers are fitted.
@@ -160,6 +161,7 @@ def _settled(c: Calibration) -> Calibration:
         held = _untold(c)
         if held == c.held:
             return c
+        progress(f"fit again, with {len(held)} of the numbers held")
         own, start = c.model.holding(held), c.wide.p.copy()
         start[held] = values[held]
         groups = [g for g in own.groups if np.isin(own.of_groups([g]), c.wide.free).all()]
@@ -239,29 +241,33 @@ def _of_another(
 
 
 def doubts_about(
-    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle]
-) -> list[Suspicion]:
+    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle],
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Suspicion]:  # fmt: skip
     """What is wrong with the logs, and whether they are of another vehicle; nothing is chosen."""
+    progress("check the logs")
     model, doubts = checked(logs, vehicle)
     windows = _windows(logs)
     if doubts or not model.valves or sum(len(w.rows) for w in windows) < FEWEST_WINDOWS:
         return doubts
     try:
-        model, jets, wide = _fitted_widely(model, logs, windows, lambda text: None)
+        model, jets, wide = _fitted_widely(model, logs, windows, progress)
+        progress("compare with other vehicles")
         return _of_another(model, jets, wide, windows, vehicle, others)
     except (np.linalg.LinAlgError, FloatingPointError):
         return []  # hardly excited
 
 
 def admitted(
-    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle], *, force: bool
-) -> list[Suspicion]:
+    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle],
+    progress: Callable[[str], None], *, force: bool,
+) -> list[Suspicion]:  # fmt: skip
     """Suspicions of `doubts_about`, for verbs that refuse what `calibrate_motion` refuses.
 
     Raises:
         RefusedError: a suspicion forbids a fit, and it is not forced.
     """
-    doubts = doubts_about(logs, vehicle, others)
+    doubts = doubts_about(logs, vehicle, others, progress)
     refusing = [one for one in doubts if one.refuses]
     if refusing and not force:
         raise RefusedError(refusing, ", ".join(log.where for log in logs))

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.identification.estimate import Estimate, normal
+from testbed.identification.estimate import Estimate
+from testbed.identification.linearised import normal
 from testbed.identification.model import VehicleModel
 from testbed.identification.windows import Windows
 
@@ -22,10 +23,10 @@ SURE = 2.0  # standard deviations
 
 
 def folds(estimate: Estimate, logs: Sequence[Windows]) -> list[NDArray[np.int64]]:
-    """Number of the part of each piece: by time, and by place."""
-    count = len(estimate.pieces)
+    """Number of the part of each window: by time, and by place."""
+    place = np.concatenate([windows.seen[:, 0, :2] for windows in logs])
+    count = len(place)
     by_time = np.arange(count) * min(TIME_FOLDS, count) // count
-    place = np.array([logs[q.log].seen[q.window, 0, :2] for q in estimate.pieces])
     middle = np.median(place, axis=0)
     by_region = 2 * (place[:, 0] > middle[0]) + (place[:, 1] > middle[1])
     return [by_time, by_region]
@@ -78,25 +79,25 @@ def unseen(
     parts: Sequence[NDArray[np.int64]],
     groups: Sequence[str],
 ) -> Array:
-    """Weighted square error of each piece when its part was not in the fit; both ways of parts."""
+    """Weighted square error of each window when its part was not in the fit; both ways of parts."""
     free = estimate.free
     used = np.isin(free, model.of_groups(groups))
     prior = np.diag(1.0 / model.sigma[free][used] ** 2)
     back = np.where(used, 0.0, (model.prior - estimate.p)[free])  # groups at their prior
+    pull = prior @ (model.prior - estimate.p)[free][used]
     pieces, weights = estimate.pieces, estimate.weights
-    level = float(np.average([np.mean(q.error**2) for q in pieces], weights=weights))
-    errors = np.zeros(len(pieces))
+    level = float(np.average(pieces.square, weights=weights))
+    errors = np.zeros(len(weights))
     for part in parts:
         for fold in np.unique(part):
-            inside = part != fold
-            seen = [q._replace(error=q.error - q.slope @ back, slope=q.slope[:, used])
-                    for q, keep in zip(pieces, inside, strict=True) if keep]  # fmt: skip
-            if not seen:
+            out = part == fold
+            if out.all():
                 continue
-            matrix, side = normal(seen, weights[inside] / level)
-            pull = prior @ (model.prior - estimate.p)[free][used]
-            step = np.linalg.solve(matrix + prior, side + pull)
-            for k in np.flatnonzero(~inside):
-                left = pieces[k].error - pieces[k].slope @ back - pieces[k].slope[:, used] @ step
-                errors[k] += weights[k] * float(np.mean(left**2)) / len(parts)
+            matrix, side = normal(pieces, np.where(out, 0.0, weights / level))
+            side -= matrix @ back
+            step = back.copy()
+            step[used] = np.linalg.solve(matrix[np.ix_(used, used)] + prior, side[used] + pull)
+            left = pieces.power[out] - 2.0 * pieces.side[out] @ step
+            left += (pieces.matrix[out] @ step) @ step
+            errors[out] += weights[out] * left / pieces.size[out] / len(parts)
     return errors

@@ -8,7 +8,7 @@ each.
 
 import cmath
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,10 +77,9 @@ def look_at(logs: Sequence[MotionLog], vehicle: Vehicle, *, steep: bool = False)
             expected=f"undisturbed flight of {0.5 * TILE:g} s or more in one piece",
             found="none", hint="see [use] of the mapping, --from and --until",
         )  # fmt: skip
-    tried = [(delay, [part.at(delay) for part in parts]) for delay in DELAYS]
     best: tuple[float, MappingFit] | None = None
-    for delay, found in tried:
-        look = _judge(found, delay)
+    for delay in DELAYS:
+        look = _judge([part.at(delay) for part in parts], delay)
         score = look.explained + 0.5 * look.turn
         if best is None or score > best[0]:
             best = score, look
@@ -102,20 +101,28 @@ class _Parts:
     """One log on a regular grid, cut in windows."""
 
     def __init__(self, log: MotionLog, vehicle: Vehicle, steep: bool) -> None:
-        self.log, self.degree = log, 2 if steep else 1
+        self.log = log
         valves = isinstance(log.inputs, Valves)
         model = VehicleModel(vehicle, valves=valves)
         p = model.prior.copy()
         p[model.index("delay")] = 0.0
         schedule, plant, _ = model.build(p, log.inputs)
-        self.windows = tiled(log, TILE).rows
+        self.windows = []  # rows of each window, and a basis of what is left out of it
+        for rows in tiled(log, TILE).rows:
+            line = np.vander(log.t[rows] - log.t[rows[0]], 3 if steep else 2)
+            self.windows.append((rows, np.linalg.qr(line)[0]))
         self.grid = np.arange(log.t[0] - 1.0, log.t[-1] + GRID, GRID)
         wrench = _means(schedule, self.grid)
         self.force = (wrench[:, 0] + 1j * wrench[:, 1]) / plant.mass[0]
         com = plant.com[0]
         self.spin = (wrench[:, 2] - com[0] * wrench[:, 1] + com[1] * wrench[:, 0]) / plant.inertia
-        self.in_table = isinstance(log.inputs, Wrenches) and log.inputs.in_table
-        self.heading = np.interp(self.grid, log.t, log.pose[:, 2])
+        heading = np.interp(self.grid, log.t, log.pose[:, 2])
+        in_table = isinstance(log.inputs, Wrenches) and log.inputs.in_table
+        h = heading * (0.0 if in_table else 1.0)
+        half = 2.0 * np.arcsin(np.clip(h, -1.0, 1.0))
+        self.turns = [np.exp(1j * f * h) for f in (1.0, -1.0, 57.29578, 1 / 57.29578)]
+        self.turns += [np.exp(1j * half) * (np.abs(h).max() <= 1.0)]
+        self.turns += [np.exp(1j * heading) if in_table else np.ones(len(h))]
 
     def at(self, delay: float) -> list[Array]:
         """Path, readings of the commands and heading, window by window.
@@ -125,26 +132,14 @@ class _Parts:
         shift = round(delay / GRID)
         force, spin = np.roll(self.force, shift), np.roll(self.spin, shift)
         force[:shift] = spin[:shift] = 0.0
-        h = self.heading * (0.0 if self.in_table else 1.0)
-        turned = [force * np.exp(1j * f * h) for f in (1.0, -1.0, 57.29578, 1 / 57.29578)]
-        half = 2.0 * np.arcsin(np.clip(h, -1.0, 1.0))
-        turned += [force * np.exp(1j * half) * (np.abs(h).max() <= 1.0)]
-        if self.in_table:
-            turned += [force * np.exp(1j * self.heading)]
-        else:
-            turned += [force]
-        paths = [_twice(a) for a in turned]
-        q = _twice(spin)
-        z = self.log.pose[:, 0] + 1j * self.log.pose[:, 1]
+        t, pose = self.log.t, self.log.pose
+        columns = [pose[:, 0] + 1j * pose[:, 1], pose[:, 2]]
+        columns += [_at(self.grid, _twice(force * turn), t) for turn in self.turns]
+        stack = np.stack([*columns, _at(self.grid, _twice(spin), t)], axis=1)
         found: list[Array] = []
-        for rows in self.windows:
-            t = self.log.t[rows]
-            base = np.vander(t - t[0], self.degree + 1)
-            columns = [z[rows], self.log.pose[rows, 2]]
-            columns += [_at(self.grid, one, t) for one in (*paths, q)]
-            stack = np.stack(columns, axis=1)
-            stack -= base @ np.linalg.lstsq(base, stack, rcond=None)[0]
-            found.append(stack)
+        for rows, basis in self.windows:
+            own = stack[rows]
+            found.append(own - basis @ (basis.T @ own))
         return found
 
 
@@ -153,43 +148,44 @@ READINGS = ("", "heading-sign", "unit-angle", "unit-angle", "quaternion", "frame
 
 def _judge(found: list[list[Array]], delay: float) -> MappingFit:
     windows = [one for part in found for one in part]
+    # columns times columns of each window, as they are and for mirrored readings
+    plainly = np.array([one.conj().T @ one for one in windows])
+    mirrored = np.array([one.T @ one for one in windows])
     weights = np.ones(len(windows))
-    best, plain, scale, explained = "", 0.0, 0.0, -1.0
     for turn in range(2):
-        stack = np.concatenate([w * np.sqrt(k) for w, k in zip(windows, weights, strict=True)])
-        z = stack[:, 0]
-        total = max(float(np.sum(np.abs(z) ** 2)), 1e-18)
-        path = stack[:, 2]
-        power = max(float(np.sum(np.abs(path) ** 2)), 1e-18)
-        scale = float(np.real(np.vdot(path, z))) / power
-        plain = 1.0 - float(np.sum(np.abs(z - max(scale, 0.0) * path) ** 2)) / total
-        c = complex(np.vdot(path, z) / power)
+        both, other = np.tensordot(weights, plainly, 1), np.tensordot(weights, mirrored, 1)
+        total, power = (max(float(both[k, k].real), 1e-18) for k in (0, 2))
+        c = complex(both[2, 0] / power)
         if turn == 0:
-            size = np.array([np.sqrt(np.mean(np.abs(w[:, 0] - c * w[:, 2]) ** 2)) for w in windows])
+            left = np.maximum(_left(plainly, c), 0.0)
+            size = np.sqrt(left / list(map(len, windows)))
             limit = 2.0 * max(float(np.median(size)), 1e-9)
             weights = np.minimum(1.0, limit / np.maximum(size, 1e-12))
-    pull = [
-        np.imag(np.vdot(c * w[:, 2], w[:, 0] - c * w[:, 2])) * k
-        for w, k in zip(windows, weights, strict=True)
-    ]
+    scale = c.real
+    plain = 1.0 - float(_left(both, max(scale, 0.0))) / total
+    pull = weights * np.imag(np.conj(c) * plainly[:, 2, 0])
     aside_sigma = float(np.sqrt(np.sum(np.square(pull)))) / max(abs(c) ** 2 * power, 1e-18)
     aside = cmath.phase(c)
     best, explained = "", plain
-    for k, reading in enumerate(READINGS):
-        for mirrored in (False, True):
-            path = np.conj(stack[:, 2 + k]) if mirrored else stack[:, 2 + k]
-            power = max(float(np.sum(np.abs(path) ** 2)), 1e-18)
-            c = complex(np.vdot(path, z) / power)
-            share = 1.0 - float(np.sum(np.abs(z - c * path) ** 2)) / total
+    for k, reading in enumerate(READINGS, 2):
+        own = max(float(both[k, k].real), 1e-18)
+        for mirror, cross in enumerate((both[k, 0], other[k, 0])):
+            share = 1.0 - float(both[0, 0].real - abs(cross) ** 2 / own) / total
             if share > explained + (HARDLY if best else CLEARLY * (explained < 0.999)):
-                best, explained = _named(reading, mirrored, c), share
-    q = np.real(stack[:, -1])
-    theta = np.real(stack[:, 1])
-    turn_scale = float(q @ theta) / max(float(q @ q), 1e-18)
-    left = float(np.sum((theta - turn_scale * q) ** 2)) / max(float(theta @ theta), 1e-18)
+                best, explained = _named(reading, bool(mirror), complex(cross / own)), share
+    asked, together, turned = (float(both[k].real) for k in ((-1, -1), (-1, 1), (1, 1)))
+    turn_scale = together / max(asked, 1e-18)
+    left = turned - 2.0 * turn_scale * together + turn_scale**2 * asked
     return MappingFit(
-        plain, scale, 1.0 - left, turn_scale, best, explained, delay, aside, aside_sigma
-    )
+        plain, scale, 1.0 - left / max(turned, 1e-18), turn_scale, best, explained, delay, aside,
+        aside_sigma,
+    )  # fmt: skip
+
+
+def _left(both: Array, c: complex) -> Any:
+    """Square of the path without `c` times the first reading, from columns times columns."""
+    cross = np.real(np.conj(c) * both[..., 2, 0])
+    return both[..., 0, 0].real - 2.0 * cross + abs(c) ** 2 * both[..., 2, 2].real
 
 
 def _named(reading: str, mirrored: bool, c: complex) -> str:
