@@ -11,7 +11,7 @@ from testbed.flight.hypotheses import CLEAR, LEAK, NUDGE, SIMILAR, SURE, WEAK, b
 NOTHING, NEAR, INNOVATIONS, FAR = range(4)  # windows that may be sure of a jet
 ENOUGH = 0.2  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
-FINE = 0.1  # the same by the innovations
+FINE = 0.08  # the same by the innovations, without a probe
 UNSURE = 0.2  # the same beside a jet that is stuck open, whose thrust is not known exactly
 LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 UNLIKE = 0.6  # largest gain of a leak beside it, as a share
@@ -45,7 +45,8 @@ def leaks_by_innovations(m):
     """Whether the innovations name a leak, a small one later, and nothing else explains the motion.
 
     Two jets that push alike explain it alike; both are named then, see hypotheses.leaking. Beside a
-    jet that was probed for long enough a leak needs no margin: the probe has told them apart.
+    jet that was probed for long enough a leak needs no margin, and counts from TRACE on: the probe
+    has told them apart.
     """
     found, leak = m.innovations, m.innovations.leak
     other = 0.0
@@ -55,7 +56,8 @@ def leaks_by_innovations(m):
     clear = leak.gain > SURE and leak.gain > other + CLEARER + SIMILAR * min(leak.gain, other)
     clear = clear and leak.gain > found.weak.gain + CLEARER
     large = leak.share > ENOUGH and found.leak_held > 1
-    lasts = leak.share > max(FINE, trace(m)) and found.leak_held > LEAK_LOOKS
+    fine = FINE if m.tested == 0 else TRACE
+    lasts = leak.share > max(fine, trace(m)) and found.leak_held > LEAK_LOOKS
     lasts = lasts and leak.gain > LONG_SURE
     return clear and (large or lasts) and leak.gain > nudge_of(m) + CLEAR
 
