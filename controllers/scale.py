@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled, with_fixed_types
 from testbed.core.law import (
     Ahead,
     Body,
@@ -129,7 +129,7 @@ class Scaled:
         self._units = lru_cache(maxsize=8)(self._units_of)
         length, time = scale.length, scale.time
         self._rates = length, length / time, length / time**2, length / time**3, time
-        self._fly_scaled = settled(fly_scaled)
+        self._fly_scaled = with_fixed_types(fly_scaled)
 
     def for_compiled_code(self, mass: float) -> Any:
         """See `CompiledLaw`."""

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.randomness import Words, normal, words
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled, with_fixed_types
 from testbed.core.landing import WATCHDOG_S, landing_delay
 from testbed.core.types import ValveCommand
 from testbed.core.vehicle import Vehicle
@@ -124,7 +124,7 @@ class Board:
         self.wires = Wires(pulses, whole, vehicle.tolerance.pulse, words(rng))
         self.pulses = pulses
         self.openings = 0
-        self._play = settled(play)
+        self._play = with_fixed_types(play)
         self._down = (math.inf, math.inf)  # interval without power [s]
         self._silent = (math.inf, math.inf)  # interval without commands [s]
         self._patience = WATCHDOG_S + landing_delay(vehicle.landing)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim_twin.plant_parameters import AS_IN_THE_FILES
 from sim_twin.randomness import Words, normal, stream, uniform, words
-from testbed.core.compiled import borrowed, compiled, settled
+from testbed.core.compiled import borrowed, compiled, with_fixed_types
 from testbed.core.rows import PoseSamples
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap, Spread
@@ -175,7 +175,7 @@ class Cameras:
             np.zeros((n, 3), np.int64),
         )
         self.own: Whole = np.arange(n, dtype=np.int64)[None]  # each body its own vehicle
-        self._take = settled(take)
+        self._take = with_fixed_types(take)
         self.most = 0  # poses of any body that are not yet taken, at most
 
     def reseed(self, names: Sequence[str], seed: int) -> None:

@@ -30,7 +30,7 @@ from sim_twin.ground import Ground, lay
 from sim_twin.plant_parameters import PlantParameters, sample_plant
 from sim_twin.randomness import stream
 from testbed.core.bundle import Bundle, unpacked
-from testbed.core.compiled import compiled, inlined, settled
+from testbed.core.compiled import compiled, inlined, with_fixed_types
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import Pose
 from testbed.core.vehicle import Vehicle
@@ -236,7 +236,7 @@ class Plant:
         self.t = 0.0  # [s]
         self._aloft: dict[int, tuple[Array, Array, float]] = {}  # of landed vehicles: jets, flow
         self.landed: dict[int, float] = {}  # vehicles without air: time of the shut-off [s]
-        self._advance = settled(advance)
+        self._advance = with_fixed_types(advance)
 
     def _pulses_of(self, k: int) -> Pulses:
         return Pulses(self._pulses.up[k], self._pulses.down[k], self._pulses.strength[k])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.randomness import WORDS, Words, exponential, stream, uniform, words
-from testbed.core.compiled import borrowed, compiled, settled
+from testbed.core.compiled import borrowed, compiled, with_fixed_types
 from testbed.core.table import Link
 
 Array = NDArray[np.float64]
@@ -123,7 +123,7 @@ class Radio:
         self.links = no_links(0, ROOM, 1)
         self._rows: dict[tuple[str, str], int] = {}
         self._trouble: dict[str, tuple[float, float]] = {}
-        self._send = settled(send)
+        self._send = with_fixed_types(send)
 
     def rows(self, pairs: Iterable[tuple[str, str]]) -> Whole:
         """The rows of the links from each sender to its receiver."""
@@ -179,7 +179,7 @@ class Radio:
         if self._send(self.links, rows, t, message):
             self.make_room()
 
-    def heard(self, receiver: str, senders: Iterable[str]) -> dict[str, Array]:
+    def received(self, receiver: str, senders: Iterable[str]) -> dict[str, Array]:
         """The newest message of each of `senders`, of any age."""
         found = {sender: self.newest(sender, receiver) for sender in senders}
         return {sender: one for sender, one in found.items() if one is not None}

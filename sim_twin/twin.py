@@ -21,7 +21,7 @@ from sim_twin.randomness import stream
 from sim_twin.reference_bodies import ReferenceBodies
 from testbed.core.bundle import Bundle, unpacked
 from testbed.core.codes import FaultReport
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled, with_fixed_types
 from testbed.core.fault_injection import Injection
 from testbed.core.rows import (
     States,
@@ -161,7 +161,7 @@ class Twin:
             str, tuple[float, LawMessage, LawMessage | None]
         ] = {}  # of laws on the host
         self._sensor_ports: Bundle | None = None
-        self._observe, self._exposures = settled(observe), settled(exposures)
+        self._observe, self._exposures = with_fixed_types(observe), with_fixed_types(exposures)
         self._look(np.empty(0), np.empty((0, len(airs), 6)))
 
     def reseed(self, seed: int) -> None:
@@ -244,8 +244,8 @@ class Twin:
         """The links on which a vehicle sends its state, or its law's message."""
         rows = self._audiences.get((name, laws))
         if rows is None:
-            hear = [other for other in self.near[name] if other in self._listeners]
-            to = [law_of(other) for other in hear] if laws else [HOST, *hear]
+            receivers = [other for other in self.near[name] if other in self._listeners]
+            to = [law_of(other) for other in receivers] if laws else [HOST, *receivers]
             radio = self.messages if laws else self.states
             rows = self._audiences[name, laws] = radio.rows((name, other) for other in to)
         return rows
@@ -321,7 +321,7 @@ class TwinVehicleLink:
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
         twin = self._twin
-        return states_of(twin.states.heard(self._name, twin.near[self._name]))
+        return states_of(twin.states.received(self._name, twin.near[self._name]))
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
@@ -330,8 +330,8 @@ class TwinVehicleLink:
 
     def messages(self) -> dict[str, LawMessage]:
         """See `VehicleLink`."""
-        heard = self._twin.messages.heard(self._law, self._twin.near[self._name])
-        return {name: message_of(row) for name, row in heard.items()}
+        received = self._twin.messages.received(self._law, self._twin.near[self._name])
+        return {name: message_of(row) for name, row in received.items()}
 
     def broadcast(self, message: LawMessage) -> None:
         """See `VehicleLink`."""
@@ -355,7 +355,7 @@ class TwinHostLink:
 
     def neighbours(self) -> dict[str, State]:
         """See `HostLink`."""
-        return states_of(self._twin.states.heard(HOST, self._others))
+        return states_of(self._twin.states.received(HOST, self._others))
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
@@ -378,6 +378,6 @@ class TwinHostLink:
         board[self._name] = (now, message, newest)
 
 
-def states_of(heard: Mapping[str, Array]) -> dict[str, State]:
+def states_of(received: Mapping[str, Array]) -> dict[str, State]:
     """The states in messages, by sender."""
-    return {name: States.struct(row.tolist()) for name, row in heard.items()}
+    return {name: States.struct(row.tolist()) for name, row in received.items()}

@@ -200,15 +200,15 @@ class JetFaultDetector:
     def __init__(self, vehicle, period, params, table):
         self.p = jet_faults.known_of(vehicle, period, params, table)
         everything, _ = make_memory(len(vehicle.jets), 1, len(self.p.shown), 1)
-        self.m, self.heard = everything.fixed[0].jet_faults, everything.heard
+        self.m, self.evidence = everything.fixed[0].jet_faults, everything.evidence
 
     def look(self, state, duty, thrust_scale):
         """The jets do not weaken each other."""
         row, duties = as_record(state), np.array((duty, duty))
-        jet_faults.look(self.p, self.m, self.heard, row, duties, thrust_scale)
+        jet_faults.look(self.p, self.m, self.evidence, row, duties, thrust_scale)
 
     def pause(self):
-        jet_faults.pause(self.p, self.m, self.heard)
+        jet_faults.pause(self.p, self.m, self.evidence)
 
     @property
     def open(self):
@@ -266,12 +266,12 @@ class Gate:
 
     def refuse(self, t, armed, state, setpoint, wrench, health, *, session_ok=True, braking=False):
         row = np.zeros(1, ROW)[0]
-        row.told.effect_at, row.told.armed, row.told.session_ok = t, armed, session_ok
-        row.told.supply_pressure = health.supply_pressure
-        row.told.setpoint = as_setpoint(setpoint)
+        row.inputs.effect_at, row.inputs.armed, row.inputs.session_ok = t, armed, session_ok
+        row.inputs.supply_pressure = health.supply_pressure
+        row.inputs.setpoint = as_setpoint(setpoint)
         write_state(state, row.state)
-        row.done.braking = braking
-        done = row.done.commanded
+        row.outputs.braking = braking
+        done = row.outputs.commanded
         done.fx, done.fy, done.tau = wrench.fx, wrench.fy, wrench.tau
         return self._read(gate.refuse(self.p, self.m, row))
 
@@ -309,7 +309,7 @@ class FaultMonitor:
         self.reports = {}
 
     def look(self, t, armed, numbers, said=""):
-        done = self.row.done
+        done = self.row.outputs
         numbers = np.array(numbers, float)
         asks = fault_monitor.look(self.p, self.counters, float(t), armed, numbers, done)
         if asks >= 0:  # the jets left do not suffice
@@ -345,18 +345,18 @@ class Safety:
     def act(self, inputs, effect_at, state, setpoint, wrench, thrust_scale, law_error=""):
         agent, memory, row = self.agent, self.agent.memory, self.agent.row[0]
         agent._law_error = law_error
-        agent._tell(inputs, setpoint)
-        row.told.effect_at = effect_at
+        agent._write_inputs(inputs, setpoint)
+        row.inputs.effect_at = effect_at
         write_state(state, row.state)
         demanded = (wrench.fx, wrench.fy, wrench.tau)
-        row.done.hazard = -1
+        row.outputs.hazard = -1
         others, samples = agent._others(inputs), PoseSamples.of(inputs.samples).rows
         chain.watch(self.p, memory, row, samples, others, demanded, np.inf)
         flown, shut = safety.respond(
             self.p.brakes, self.p.gains, memory.fixed[0].safety, row, demanded, demanded,
             float(thrust_scale),
         )  # fmt: skip
-        done = row.done
+        done = row.outputs
         report = agent._report(int(done.fault), inputs, "", "") if done.fault >= 0 else None
         return SimpleNamespace(
             commanded_wrench=Wrench(*flown), response=Response(done.response),

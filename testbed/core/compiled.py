@@ -48,16 +48,16 @@ def pasted(function: F) -> F:
     return _compiled(function, inline="always")
 
 
-def settled(function: F) -> F:
+def with_fixed_types(function: F) -> F:
     """A compiled function for one caller whose argument types never change.
 
     At every call numba determines the types of all arguments, down to the last array of a tuple;
     for the small functions of a tick this takes longer than the function. Here it is done at the
     first call, and again if an integer argument becomes a float, which would be truncated
-    silently. So a settled function has one owner, which must always pass arguments of the same
+    silently. So such a function has one owner, which must always pass arguments of the same
     types: arrays of the same number of dimensions, layout and dtype, and tuples of the same types.
-    This is not checked (tests/experiments/test_settled.py flies with the types compared at every
-    call).
+    This is not checked; tests/experiments/test_fixed_types.py flies with the types compared at
+    every call.
     """
     if cast(Any, config).DISABLE_JIT:  # plain Python, for a debugger
         return function

@@ -26,7 +26,7 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, inlined, keep, settled
+from testbed.core.compiled import borrowed, compiled, inlined, keep, with_fixed_types
 
 Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -271,7 +271,8 @@ class CompiledLaw:
     ) -> None:
         self.gains, self._initial, self._rate = gains, initial, rate
         self.message_size = message_size
-        self._propagate, self._in_plane = settled(propagate), settled(propagate_in_plane)
+        self._propagate = with_fixed_types(propagate)
+        self._in_plane = with_fixed_types(propagate_in_plane)
 
     def for_compiled_code(self, mass: float) -> Any:
         """The law for `propagate_of`, for a vehicle of this mass [kg]; None: there is none."""

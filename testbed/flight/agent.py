@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from testbed.core.bundle import Bundle
 from testbed.core.codes import Detector, FaultReport, Intervention, Response
-from testbed.core.compiled import settled
+from testbed.core.compiled import with_fixed_types
 from testbed.core.error import MismatchError
 from testbed.core.jets import JetHealth
 from testbed.core.rows import PoseSamples, References, numbers_of
@@ -48,7 +48,7 @@ from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
 from testbed.flight.permanent import verdict_of
-from testbed.flight.record import DONE, ROW, STATE, TOLD, packing, places_in
+from testbed.flight.record import INPUTS, OUTPUTS, ROW, STATE, packing, places_in
 from testbed.flight.refusals import refusal_of, reported
 from testbed.flight.silence import blame_link
 
@@ -59,9 +59,9 @@ def lead_time(vehicle: Vehicle) -> float:
 
 
 RESPONSES = tuple(Response)
-IN, OUT = packing(TOLD), packing(STATE, DONE)
+IN, OUT = packing(INPUTS), packing(STATE, OUTPUTS)
 FAULT, HOLDING, OTHER, OLDEST, LEAK, GATE_FAULT = places_in(
-    DONE, "fault", "holding", "other", "oldest", "leak", "gate_fault"
+    OUTPUTS, "fault", "holding", "other", "oldest", "leak", "gate_fault"
 )
 STAYS_S = 1.0  # a setpoint to stay is renewed at every tick [s]
 ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
@@ -106,7 +106,7 @@ class Agent:
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
         self._warnings = FaultWarnings(self._faults)
-        self._see, self._act = settled(chain.see), settled(chain.act)
+        self._see, self._act = with_fixed_types(chain.see), with_fixed_types(chain.act)
 
     @property
     def vehicle(self) -> Bundle:
@@ -152,11 +152,11 @@ class Agent:
         references = NO_REFERENCES
         # a vehicle that stays after its flight has the setpoint of `staying`
         guidance = self.guidance if setpoint is None else None
-        self._tell(inputs, setpoint)
+        self._write_inputs(inputs, setpoint)
         self._see(self._vehicle, samples)
         if guidance is not None:
             setpoint, message = self._guided(guidance, inputs)
-            self._tell(inputs, setpoint)
+            self._write_inputs(inputs, setpoint)
         if isinstance(setpoint, Trajectory):
             references = References.of(setpoint.references).rows
         self._act(self._vehicle, samples, references, others)
@@ -178,11 +178,11 @@ class Agent:
         """Each jet as the flight has shown it."""
         memory = self.memory
         gives, leaks, named = memory.fired.gives, memory.fired.leaks, memory.named
-        believed = memory.heard.innovations
+        believed = memory.evidence.innovations
         # a jet that is stuck open is judged by what it pushes anyway
-        shares = np.maximum(believed.gives, believed.leaks) * (1.0 + memory.heard.off)
+        shares = np.maximum(believed.gives, believed.leaks) * (1.0 + memory.evidence.off)
         shares = np.clip(np.where(np.maximum(gives, leaks) > 0.0, shares, 0.0), 0.0, MOST)
-        rows = np.column_stack((shares, memory.heard.sigma, gives, leaks, named)).tolist()
+        rows = np.column_stack((shares, memory.evidence.sigma, gives, leaks, named)).tolist()
         return tuple(
             JetHealth(share, sigma, gives, leaks, named or None)
             for share, sigma, gives, leaks, named in rows
@@ -193,8 +193,8 @@ class Agent:
         """Rows of the fault table that have held without ending the flight."""
         return self._warnings.found
 
-    def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
-        """Write the inputs into the tick's record, in the order of record.TOLD."""
+    def _write_inputs(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
+        """Write the inputs into the tick's record, in the order of record.INPUTS."""
         health, vitals = inputs.health, inputs.vitals
         IN.pack_into(
             self._bytes, 0, inputs.t, inputs.t + self.lead, inputs.armed, vitals.end,
@@ -232,14 +232,14 @@ class Agent:
         self, inputs: Inputs, setpoint: Setpoint | None, message: LawMessage | None
     ) -> Outputs:
         """The tick's record as structs, with names and words for its codes."""
-        state, done = taken(self._bytes)
+        state, outputs = taken(self._bytes)
         m = self.memory
-        if (done[LEAK] > ALERT or done[HOLDING]) and state is not None:
+        if (outputs[LEAK] > ALERT or outputs[HOLDING]) and state is not None:
             self._nearby.look(inputs.t, state, inputs.neighbours)
-        self._warn(inputs, done)
-        report = self.report(done[FAULT], done[GATE_FAULT], lambda: inputs)
+        self._warn(inputs, outputs)
+        report = self.report(outputs[FAULT], outputs[GATE_FAULT], lambda: inputs)
         lists = m.times, m.counters.holds, m.fixed[0].gate.values
-        return self.made(state, done, inputs, setpoint, report, *lists, message)
+        return self.made(state, outputs, inputs, setpoint, report, *lists, message)
 
     def notice(
         self, fault: int, gate_fault: int, looks: bool, inputs: Callable[[], Inputs]
@@ -252,11 +252,11 @@ class Agent:
             looks: something holds or may leak.
             inputs: makes the inputs of the tick; they are rarely needed.
         """
-        state, done = taken(self._bytes) if looks else (None, ())
+        state, outputs = taken(self._bytes) if looks else (None, ())
         if state is not None:
-            told = inputs()
-            self._nearby.look(told.t, state, told.neighbours)
-            self._warn(told, done)
+            now = inputs()
+            self._nearby.look(now.t, state, now.neighbours)
+            self._warn(now, outputs)
         return self.report(fault, gate_fault, inputs)
 
     def step_row(self, samples: Array, references: Array, neighbours: Array) -> None:
@@ -269,10 +269,10 @@ class Agent:
     ) -> FaultReport | None:
         """The report of row `fault` of the fault table, or of the gate; see `notice`."""
         if fault != self._fault[0]:
-            told, done = inputs(), taken(self._bytes)[1]
-            names = ("", *told.neighbours)
-            said = told, names[done[OTHER] + 1], names[done[OLDEST] + 1]
-            self._fault = fault, None if fault < 0 else self._report(fault, *said)
+            now, outputs = inputs(), taken(self._bytes)[1]
+            names = ("", *now.neighbours)
+            arguments = now, names[outputs[OTHER] + 1], names[outputs[OLDEST] + 1]
+            self._fault = fault, None if fault < 0 else self._report(fault, *arguments)
         found = self._fault[1]
         if found is None and gate_fault:
             values = self.memory.fixed[0].gate.values
@@ -280,7 +280,7 @@ class Agent:
         return found
 
     def made(
-        self, state: State | None, done: Sequence[Any], inputs: Inputs,
+        self, state: State | None, outputs: Sequence[Any], inputs: Inputs,
         setpoint: Setpoint | None, report: FaultReport | None,
         times: Array, holds: Array, values: Array, message: LawMessage | None,
     ) -> Outputs:  # fmt: skip
@@ -288,7 +288,7 @@ class Agent:
 
         Args:
             state: estimate, see `taken`.
-            done: numbers of record.DONE.
+            outputs: numbers of record.OUTPUTS.
             inputs: of this tick.
             setpoint: that was flown.
             report: of the tick's fault.
@@ -301,7 +301,7 @@ class Agent:
             seq, stopping, t, x, y, theta, vx, vy, omega, ax, ay, alpha, fx, fy, tau,
             realised_fx, realised_fy, realised_tau, response, _, holding, _, _,
             _, hazard, dfx, dfy, _, inhibit, gate_fault, air_off,
-        ) = done  # fmt: skip
+        ) = outputs  # fmt: skip
         active: Reference | Demand | None = None
         if setpoint is not None and state is not None:
             active = setpoint if isinstance(setpoint, Demand) else None
@@ -330,24 +330,25 @@ class Agent:
             name for (name, _), one in zip(self._faults, holds.tolist(), strict=True) if one
         )
 
-    def _warn(self, inputs: Inputs, done: Sequence[Any]) -> None:
+    def _warn(self, inputs: Inputs, outputs: Sequence[Any]) -> None:
         """Note the rows of the fault table that hold in flight."""
-        if not done[HOLDING] or not inputs.armed or inputs.vitals.end:
+        if not outputs[HOLDING] or not inputs.armed or inputs.vitals.end:
             return
         names, holds = ("", *inputs.neighbours), self.memory.counters.holds
-        other, oldest = names[done[OTHER] + 1], names[done[OLDEST] + 1]
-        said = partial(self._said, inputs=inputs, other=other, oldest=oldest)
-        self._warnings.look(inputs.t, holds, self.row[0]["numbers"], said)
+        other, oldest = names[outputs[OTHER] + 1], names[outputs[OLDEST] + 1]
+        detail = partial(self._detail, inputs=inputs, other=other, oldest=oldest)
+        self._warnings.look(inputs.t, holds, self.row[0]["numbers"], detail)
 
     def _report(self, k: int, inputs: Inputs, other: str, oldest: str) -> FaultReport:
         """The report of row `k` of the fault table, which was latched at this tick."""
         name, row = self._faults[k]
         fleet = inputs.vitals.fleet if row.measures == Detector.FLEET else None
-        value, said = self.memory.counters.value[k], self._said(row.measures, inputs, other, oldest)
-        fault = row.report(name, float(value), said, fleet and fleet.origin)
+        detail = self._detail(row.measures, inputs, other, oldest)
+        value = float(self.memory.counters.value[k])
+        fault = row.report(name, value, detail, fleet and fleet.origin)
         return blame_link(fault, self._faults, inputs)
 
-    def _said(self, detector: Detector, inputs: Inputs, other: str, oldest: str) -> str:
+    def _detail(self, detector: Detector, inputs: Inputs, other: str, oldest: str) -> str:
         """Text for a detector's number at this tick, if it has one."""
         m, vitals = self.memory.fixed[0].jet_faults, inputs.vitals
         touched = self._nearby.contact(inputs.t)
@@ -386,11 +387,11 @@ class Agent:
 
 
 def taken(record: memoryview) -> tuple[State | None, Sequence[Any]]:
-    """The estimate in a tick's record, and the numbers of its record.DONE."""
-    known, t, x, y, theta, vx, vy, omega, ax, ay, alpha, age, rejected, *done = OUT.unpack_from(
+    """The estimate in a tick's record, and the numbers of its record.OUTPUTS."""
+    known, t, x, y, theta, vx, vy, omega, ax, ay, alpha, age, rejected, *outputs = OUT.unpack_from(
         record, IN.size
     )
     if not known:
-        return None, done
+        return None, outputs
     twist, bias = Twist(vx, vy, omega), Accel(ax, ay, alpha)
-    return State(t, Pose(x, y, theta), twist, bias, age, rejected), done
+    return State(t, Pose(x, y, theta), twist, bias, age, rejected), outputs

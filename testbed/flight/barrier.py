@@ -47,7 +47,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from testbed.core.codes import Hazard, Intervention
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled, with_fixed_types
 from testbed.core.rows import States
 from testbed.core.scratch import scratch
 from testbed.core.table import Obstacle
@@ -328,7 +328,7 @@ class Barrier:
             (*obstacle.position, *obstacle.velocity, obstacle.radius + params.obstacle_margin, 1.0)
             for obstacle in obstacles.values()
         ])  # fmt: skip
-        self._guarded = settled(guarded)
+        self._guarded = with_fixed_types(guarded)
         self._met: tuple[str, ...] = ()  # the others at the last call
         self._met_limits = np.zeros((0, 2))
 

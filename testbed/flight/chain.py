@@ -44,23 +44,23 @@ def see(vehicle, samples):
 
     Args:
         vehicle: Bundle of Parameters; Memory, changed in place; and an array of one record.ROW,
-            whose `told` is read and whose `state` is written.
+            whose `inputs` is read and whose `state` is written.
         samples: poses since the last tick, rows (captured at, x, y, theta).
     """
     p, memory, rows = unpacked(vehicle)
-    m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
+    m, row, inputs = memory.fixed[0].estimator, rows[0], rows[0].inputs
     fixed = memory.fixed[0]
     model = online.model_now(p.online, p.model, fixed.gas_used, fixed.thrust_scale)
     estimator.begin_tick(m)
     for k in range(samples.shape[0]):
         sample = samples[k]
-        taken = estimator.update(p.filter, model, m, memory.fired, memory.flown, sample, told.t)
-        if taken and told.armed == 1 and not seen_elsewhere(m.step):
-            innovations.hear(
-                p.jets_known.innovations, fixed.jet_faults.innovations, memory.heard.innovations,
+        taken = estimator.update(p.filter, model, m, memory.fired, memory.flown, sample, inputs.t)
+        if taken and inputs.armed == 1 and not seen_elsewhere(m.step):
+            innovations.update(
+                p.jets_known.innovations, fixed.jet_faults.innovations, memory.evidence.innovations,
                 memory.flown, model, fixed.thrust_scale, sample,
             )  # fmt: skip
-    estimator.predict(model, m, memory.fired, told.effect_at, told.t, row.state)
+    estimator.predict(model, m, memory.fired, inputs.effect_at, inputs.t, row.state)
 
 
 @compiled
@@ -68,20 +68,20 @@ def act(vehicle, samples, references, neighbours):
     """From the estimate and the setpoint to valve times.
 
     Args:
-        vehicle: as for `see`; `told` and `state` of its record are read, and `done` is written.
+        vehicle: as for `see`; reads `inputs` and `state` of its record, and writes `outputs`.
         samples: as for `see`.
         references: of a trajectory, see `tracker.aim`.
         neighbours: rows as in `barrier.around`.
     """
     p, memory, rows = unpacked(vehicle)
     row = rows[0]
-    m, told, state, done = memory.fixed[0], row.told, row.state, row.done
-    thrust_scale = told.supply_pressure / p.sensors.set_pressure
+    m, inputs, state, outputs = memory.fixed[0], row.inputs, row.state, row.outputs
+    thrust_scale = inputs.supply_pressure / p.sensors.set_pressure
     gains = online.gains_now(p.online, p.gains, m.gas_used)
-    demanded = tracker.aim(gains, m.tracker, state, told.setpoint, references, done.active)
-    done.stopping = m.tracker.stopping
+    demanded = tracker.aim(gains, m.tracker, state, inputs.setpoint, references, outputs.active)
+    outputs.stopping = m.tracker.stopping
 
-    through, spare, done.hazard = demanded, math.inf, -1
+    through, spare, outputs.hazard = demanded, math.inf, -1
     if p.filters and state.known == 1:
         through, spare = safety.filtered(
             p.limits, p.obstacles, p.gains.period, row, neighbours, demanded,
@@ -91,7 +91,7 @@ def act(vehicle, samples, references, neighbours):
     wrench, shut = safety.respond(
         p.brakes, gains, m.safety, row, demanded, through, thrust_scale * m.strength
     )
-    done.commanded.fx, done.commanded.fy, done.commanded.tau = wrench
+    outputs.commanded.fx, outputs.commanded.fy, outputs.commanded.tau = wrench
 
     refuse(p, m, row, shut)
     plan(p, memory, row, wrench, thrust_scale)
@@ -99,18 +99,18 @@ def act(vehicle, samples, references, neighbours):
 
 @pasted
 def watch(p, memory, row, samples, neighbours, demanded, spare):
-    """Detectors and fault monitor: write what they find to `row.done`."""
-    m, told, done = memory.fixed[0], row.told, row.done
-    armed = told.armed == 1
+    """Detectors and fault monitor: write what they find to `row.outputs`."""
+    m, inputs, outputs = memory.fixed[0], row.inputs, row.outputs
+    armed = inputs.armed == 1
     if row.state.known == 1 and armed:
         compare(
-            p.jets_known, m.jet_faults, memory.heard, memory.fired, m.permanent, memory.permanent,
-            row, m.estimator.step, memory.flowed, m.thrust_scale,
+            p.jets_known, m.jet_faults, memory.evidence, memory.fired,
+            m.permanent, memory.permanent, row, m.estimator.step, memory.flowed, m.thrust_scale,
         )  # fmt: skip
         if p.online.each_jet:
-            online.follow_jets(memory.fired, memory.heard, m.jet_faults.probed, p.gains.period)
+            online.follow_jets(memory.fired, memory.evidence, m.jet_faults.probed, p.gains.period)
         reconfiguration.end_probe(
-            p.jets_known, m.jet_faults, memory.heard, memory.fired, memory.named, told.t
+            p.jets_known, m.jet_faults, memory.evidence, memory.fired, memory.named, inputs.t
         )
     finite = gate.is_number(demanded)
     detectors.measure(
@@ -118,11 +118,11 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
         neighbours, finite, spare,
     )  # fmt: skip
     # a fault after the end gets its response, but is not latched
-    latches = armed and told.ended == 0
-    asks = fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)
-    if asks >= 0 and done.fault < 0:  # a vehicle that stops anyway keeps what was found
+    latches = armed and inputs.ended == 0
+    asks = fault_monitor.look(p.rows, memory.counters, inputs.t, latches, row.numbers, outputs)
+    if asks >= 0 and outputs.fault < 0:  # a vehicle that stops anyway keeps what was found
         reconfigure(p, memory, row, asks)
-    if done.fault >= 0 and reconfiguration.names_a_leak(p.rows.detector[done.fault]):
+    if outputs.fault >= 0 and reconfiguration.names_a_leak(p.rows.detector[outputs.fault]):
         reconfiguration.take_back(m.jet_faults, memory.fired, memory.named)
 
 
@@ -135,7 +135,7 @@ def reconfigure(p, memory, row, k):
     the vehicle flies on if the fault table says so of a valve stuck open.
     """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
-    suspected, named, t = m.jet_faults, memory.named, row.told.t
+    suspected, named, t = m.jet_faults, memory.named, row.inputs.t
     if reconfiguration.is_no_probe(suspected, detector):
         return
     found, doubted = reconfiguration.suspicion_of(suspected, detector), suspected.probed - 1
@@ -158,28 +158,28 @@ def reconfigure(p, memory, row, k):
         suspected.flies_open = int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
-        reconfiguration.restart(p.jets_known, suspected, memory.heard, fired)
+        reconfiguration.restart(p.jets_known, suspected, memory.evidence, fired)
         permanent.restart(m.permanent, memory.permanent)
         return
     fired.gives[:], fired.leaks[:] = gives, leaks
     number = row.numbers[p.rows.detector[k]]
-    fault_monitor.refuse(p.rows, memory.counters, k, number, row.done)
+    fault_monitor.refuse(p.rows, memory.counters, k, number, row.outputs)
 
 
 @pasted
 def refuse(p, m, row, shut):
     """Ask the gate; `shut` is the reason of the fault table, 0: none."""
-    told, done = row.told, row.done
+    inputs, outputs = row.inputs, row.outputs
     refused = gate.refuse(p.gate, m.gate, row)
-    done.gate_fault = m.gate.fault
-    done.inhibit = refused if refused != 0 else shut
+    outputs.gate_fault = m.gate.fault
+    outputs.inhibit = refused if refused != 0 else shut
     # a vehicle that the gate has shut, or that is disarmed at the end, cannot brake
-    if told.armed == 1 and m.gate.fault != 0:
-        done.air_off = 1
-    if told.ended == 1 and told.armed == 0:
-        done.air_off = 1
-        if done.inhibit == 0:
-            done.inhibit = InhibitReason.FLIGHT_OVER.value
+    if inputs.armed == 1 and m.gate.fault != 0:
+        outputs.air_off = 1
+    if inputs.ended == 1 and inputs.armed == 0:
+        outputs.air_off = 1
+        if outputs.inhibit == 0:
+            outputs.inhibit = InhibitReason.FLIGHT_OVER.value
 
 
 @pasted
@@ -188,14 +188,14 @@ def plan(p, memory, row, wrench, thrust_scale):
 
     Its mean wrench includes the low supply pressure, which all jets share, but not the droop.
     """
-    m, told, done, period = memory.fixed[0], row.told, row.done, p.gains.period
-    if done.inhibit != 0:
+    m, inputs, outputs, period = memory.fixed[0], row.inputs, row.outputs, p.gains.period
+    if outputs.inhibit != 0:
         wrench = (0.0, 0.0, 0.0)
     share = thrust_scale if thrust_scale > WEAKEST else WEAKEST
     fired, effect = memory.fired, p.jets.effect
     adds = fired.gives - fired.leaks
     fx, fy, tau = wrench
-    for j in range(adds.shape[0] if done.inhibit == 0 else 0):  # what leaks pushes anyway
+    for j in range(adds.shape[0] if outputs.inhibit == 0 else 0):  # what leaks pushes anyway
         fx -= share * fired.leaks[j] * effect[0, j]
         fy -= share * fired.leaks[j] * effect[1, j]
         tau -= share * fired.leaks[j] * effect[2, j]
@@ -203,19 +203,19 @@ def plan(p, memory, row, wrench, thrust_scale):
     on, offset = pulses(p.planner.modulator, memory.carried, duty, adds)
     fx, fy, tau = in_microseconds(p.planner, on, offset, p.jets.effect, memory.times)
     fx, fy, tau = fx * thrust_scale, fy * thrust_scale, tau * thrust_scale
-    if done.inhibit != 0:
+    if outputs.inhibit != 0:
         memory.times[:] = fx = fy = tau = 0.0
-    done.realised.fx, done.realised.fy, done.realised.tau = fx, fy, tau
+    outputs.realised.fx, outputs.realised.fy, outputs.realised.tau = fx, fy, tau
     m.seq += 1
-    m.thrust_scale, done.seq = thrust_scale, m.seq
-    starts, ends = told.t + p.command_delay, told.t + period + p.command_delay
+    m.thrust_scale, outputs.seq = thrust_scale, m.seq
+    starts, ends = inputs.t + p.command_delay, inputs.t + period + p.command_delay
     note(memory.fired, starts, ends, memory.times)
     flow_shares(
         memory.times, memory.begun, memory.after, p.model, fired.gives, fired.leaks, period,
         memory.flowed,
     )  # fmt: skip
     m.gas_used = online.gas_used(
-        p.online, m.gas_used, told.tank_pressure, memory.flowed[1], thrust_scale, period
+        p.online, m.gas_used, inputs.tank_pressure, memory.flowed[1], thrust_scale, period
     )
 
 

@@ -18,20 +18,20 @@ class Company(NamedTuple):
 
 
 def meet(
-    heard: tuple[str, ...], spoke: tuple[str, ...], who: Mapping[str, int], distance: float,
+    received: tuple[str, ...], spoke: tuple[str, ...], who: Mapping[str, int], distance: float,
     message_size: int,
 ) -> Company:  # fmt: skip
-    """The company when the states of `heard` and messages of `spoke` have arrived.
+    """The company when the states of `received` and messages of `spoke` have arrived.
 
     Args:
-        heard: names, in the order of the states.
+        received: names, in the order of the states.
         spoke: names; a law with messages knows no other before the first one.
         who: index of each vehicle in the formation.
         distance: to keep from each [m].
         message_size: numbers in a message of the law; 0: it needs none.
     """
-    names = tuple(sorted(set(heard) & set(spoke) if message_size else heard))
-    order = np.array([heard.index(one) for one in names], np.int64)
+    names = tuple(sorted(set(received) & set(spoke) if message_size else received))
+    order = np.array([received.index(one) for one in names], np.int64)
     return Company(names, order, _strangers(names, who, distance, message_size))
 
 

@@ -52,7 +52,7 @@ MEMORY = record(
 
 
 @pasted
-def compare(p, m, heard, fired, always, window, row, step, duty, thrust_scale):
+def compare(p, m, evidence, fired, always, window, row, step, duty, thrust_scale):
     """Compare the motion with the flow of the last plan; see `jet_faults.look`.
 
     Poses that are old, refused or of another clock are no evidence about valves. Neither is the way
@@ -61,28 +61,28 @@ def compare(p, m, heard, fired, always, window, row, step, duty, thrust_scale):
     have that in them already, so they begin anew.
     """
     state, before = row.state, m.look
-    if row.told.late_s > SPOILT * p.period / p.ticks:
-        distrust(p, m, heard, fired, always, window)
-    ours = abs(row.told.clock_offset) < SAME_CLOCK and not seen_elsewhere(step)
+    if row.inputs.late_s > SPOILT * p.period / p.ticks:
+        distrust(p, m, evidence, fired, always, window)
+    ours = abs(row.inputs.clock_offset) < SAME_CLOCK and not seen_elsewhere(step)
     if state.pose_age < p.trusted_age and state.rejected <= TRUSTED and ours:
-        look(p, m, heard, state, duty, thrust_scale)
+        look(p, m, evidence, state, duty, thrust_scale)
         # a nudge passes, but it would stay in the sums of the whole flight
         if nudged(p, m) > math.sqrt(2.0 * SURE):
             permanent.restart(always, window)
         if m.look != before and m.summed == 0:
             permanent.refute(always, m.far)
-            note_pull(p, m, heard)
+            note_pull(p, m, evidence)
         if m.look != before and m.summed == p.long - 1:  # the next one clears the sums
-            permanent.hear(p, always, window, heard, m.far)
+            permanent.update(p, always, window, evidence, m.far)
     else:
-        pause(p, m, heard)
+        pause(p, m, evidence)
         forget(always)  # until the next second: one alone is not believed for longer
 
 
 @compiled
-def distrust(p, m, heard, fired, always, window):
+def distrust(p, m, evidence, fired, always, window):
     """Let all that compares motion and plans begin anew; the arguments are those of `compare`."""
-    reconfiguration.restart(p, m, heard, fired)
+    reconfiguration.restart(p, m, evidence, fired)
     innovations.pause(m.innovations)  # while a jet is probed, they have not begun anew
     permanent.restart(always, window)
 
@@ -114,10 +114,10 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
         finite: whether the demanded wrench is.
         spare: room left after a full stop [m].
     """
-    told, state, done = row.told, row.state, row.done
+    inputs, state, outputs = row.inputs, row.state, row.outputs
     age = rejected = 0.0
-    jumped = jump(m, samples, told.clock_offset)
-    done.other, done.oldest = whose(jumped, samples, neighbours), -1
+    jumped = jump(m, samples, inputs.clock_offset)
+    outputs.other, outputs.oldest = whose(jumped, samples, neighbours), -1
     m.known = state.known
     if state.known == 1:
         age, rejected = state.pose_age, float(state.rejected)
@@ -125,46 +125,46 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
         before[0], before[1], before[2] = state.t, state.x, state.y
         before[3], before[4] = state.vx, state.vy
     waited = overdue = 0.0
-    if told.setpoint.kind != NO_SETPOINT:
-        waited = told.effect_at - told.setpoint.t
-        overdue = told.effect_at - told.setpoint.valid_until
+    if inputs.setpoint.kind != NO_SETPOINT:
+        waited = inputs.effect_at - inputs.setpoint.t
+        overdue = inputs.effect_at - inputs.setpoint.valid_until
     oldest = 0.0
     for k in range(neighbours.shape[0]):
-        if told.t - neighbours[k, 5] > oldest:
-            oldest, done.oldest = told.t - neighbours[k, 5], k
+        if inputs.t - neighbours[k, 5] > oldest:
+            oldest, outputs.oldest = inputs.t - neighbours[k, 5], k
     bad_jet.decide_by(suspected)
     leaks, leak = suspected.leak_by != bad_jet.NOTHING, bad_jet.leak_of(suspected)
     weak = suspected.weak_by != bad_jet.NOTHING
     either = bad_jet.leaks_or_is_weak(suspected)
-    done.leak = bad_jet.sigmas(suspected.leak) if either else 0.0
+    outputs.leak = bad_jet.sigmas(suspected.leak) if either else 0.0
     repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
     numbers = (  # in the order of codes.Detector, up to FLEET
         abs(age),
         repeats if p.noisy else 0.0,
         jumped,
-        1.0 if done.other >= 0 else 0.0,
+        1.0 if outputs.other >= 0 else 0.0,
         rejected,
         waited,
         overdue,
         oldest,
-        told.supply_pressure / p.set_pressure,
-        tank_loss(p, m, told.t, told.tank_pressure),
-        told.battery,
-        told.silent_s,
+        inputs.supply_pressure / p.set_pressure,
+        tank_loss(p, m, inputs.t, inputs.tank_pressure),
+        inputs.battery,
+        inputs.silent_s,
         leak.share if leaks else 0.0,
         bad_jet.sigmas(leak) if leaks else 0.0,
-        done.leak,
+        outputs.leak,
         bad_jet.sigmas(bad_jet.weak_of(suspected)) if weak else 0.0,
         spare,
-        float(told.law_failed),
+        float(inputs.law_failed),
         0.0 if finite else 1.0,
-        told.late_s,
-        told.operator_age,
-        abs(told.clock_offset),
-        0.0 if told.same_config == 1 else 1.0,
-        told.disk_free,
-        told.foreign,
-        float(told.fleet_failed),
+        inputs.late_s,
+        inputs.operator_age,
+        abs(inputs.clock_offset),
+        0.0 if inputs.same_config == 1 else 1.0,
+        inputs.disk_free,
+        inputs.foreign,
+        float(inputs.fleet_failed),
     )
     for k in range(len(numbers)):
         row.numbers[k] = numbers[k]
@@ -180,7 +180,7 @@ def explain(p, m, seen, known, suspected, always, row, samples):
     gains, sizes = far.gains, far.sizes
     pull = certain(gains, sizes, least, PULL)
     late_s, frame_step, heading_step = what_stepped(seen.step, seen.going)
-    if abs(row.told.clock_offset) >= SAME_CLOCK:  # poses of another time lie elsewhere
+    if abs(row.inputs.clock_offset) >= SAME_CLOCK:  # poses of another time lie elsewhere
         late_s = frame_step = heading_step = 0.0
     return (
         bad_jet.sigmas(far.weak) if bad_jet.is_partly_weak(far) else 0.0,
@@ -193,7 +193,7 @@ def explain(p, m, seen, known, suspected, always, row, samples):
         late_s,
         frame_step,
         heading_step,
-        pose_rate(p, m, row.told.t, samples.shape[0]),
+        pose_rate(p, m, row.inputs.t, samples.shape[0]),
         seen.bumped,
         nudged(known, suspected),
     )

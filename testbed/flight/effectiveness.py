@@ -70,8 +70,8 @@ def resolve(slow, sure, off, sigma):
         off[j] = variance = 0.0
         for i in range(j, m):
             variance += inverse[i, j] * inverse[i, j]
-            told = 0.0
+            known = 0.0
             for k in range(i + 1):
-                told += inverse[i, k] * slow[k, m]
-            off[j] += inverse[i, j] * told
+                known += inverse[i, k] * slow[k, m]
+            off[j] += inverse[i, j] * known
         sigma[j] = min(SPREAD, np.sqrt(variance))

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 PATIENCE = 5  # samples until poses near the prediction are accepted
 ON_LINE = 3  # of them on the line through the two before
 LINE = 4.0  # half width of that line [sigmas]
-ROUGH = 11.0  # limit of the mean, in variances of the table file: 3.5 times its noise; healthy
+ROUGH = 11.0  # limit of the mean, in variances of the table file: 3.3 times its noise; healthy
 # cameras stay below 4, and one ghost among good poses gives 10
 AT_ONCE = 25.0  # largest contribution of a single pose to the mean
 RECENT = 0.15  # share of the newest pose in the mean

@@ -55,8 +55,8 @@ class Counters(NamedTuple):
 
 
 @compiled
-def look(p, counters, t, latches, numbers, done):
-    """Judge a tick: write the most severe response and the deciding fault to `done`.
+def look(p, counters, t, latches, numbers, outputs):
+    """Judge a tick: write the most severe response and the deciding fault to `outputs`.
 
     Returns the row that asks for a reconfiguration, -1: none.
 
@@ -66,9 +66,9 @@ def look(p, counters, t, latches, numbers, done):
         t: now [s].
         latches: false: faults are not latched, as of a disarmed vehicle.
         numbers: of the detectors.
-        done: record.DONE.
+        outputs: record.OUTPUTS.
     """
-    done.response, done.fault, done.holding, asks = 0, -1, 0, -1
+    outputs.response, outputs.fault, outputs.holding, asks = 0, -1, 0, -1
     for k in range(p.detector.shape[0]):
         number = numbers[p.detector[k]]
         if p.low[k] <= number <= p.high[k]:
@@ -80,24 +80,24 @@ def look(p, counters, t, latches, numbers, done):
                     asks = k
                 elif p.latched[k] == 1:
                     latch(counters, k, number)
-        done.holding += int(counters.holds[k])
+        outputs.holding += int(counters.holds[k])
         latched = counters.latched[k]
         if latched > 0.0 or (counters.holds[k] == 1.0 and p.reconfigures[k] == 0):
-            done.response = max(done.response, p.response[k])
+            outputs.response = max(outputs.response, p.response[k])
         elif counters.holds[k] == 1.0:
-            done.response = max(done.response, WARN)
-        if latched > 0.0 and decides(p, counters, k, done.fault):
-            done.fault = k
+            outputs.response = max(outputs.response, WARN)
+        if latched > 0.0 and decides(p, counters, k, outputs.fault):
+            outputs.fault = k
     return asks
 
 
 @compiled
-def refuse(p, counters, k, number, done):
+def refuse(p, counters, k, number, outputs):
     """Latch row `k`: the jets left do not suffice."""
     latch(counters, k, number)
-    done.response = max(done.response, p.response[k])
-    if decides(p, counters, k, done.fault):
-        done.fault = k
+    outputs.response = max(outputs.response, p.response[k])
+    if decides(p, counters, k, outputs.fault):
+        outputs.fault = k
 
 
 @compiled

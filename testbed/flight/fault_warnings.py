@@ -20,7 +20,7 @@ class FaultWarnings:
         self.found: dict[str, Warned] = {}
 
     def look(
-        self, t: float, holds: NDArray, numbers: NDArray, said: Callable[[Detector], str]
+        self, t: float, holds: NDArray, numbers: NDArray, detail: Callable[[Detector], str]
     ) -> None:  # fmt: skip
         """Note the rows that hold at a tick.
 
@@ -28,14 +28,14 @@ class FaultWarnings:
             t: now [s].
             holds: 1 for each row that holds, (rows,).
             numbers: of the detectors, (detectors,).
-            said: text for a detector's number at this tick.
+            detail: text for a detector's number at this tick.
         """
         for k, name, row in self._rows:
             if not holds[k]:
                 continue
             number, before = float(numbers[row.measures]), self.found.get(name)
             if before is None or (number > before.number) == (row.above is not None):
-                words = row.report(name, number, said(row.measures), None).text
+                words = row.report(name, number, detail(row.measures), None).text
                 self.found[name] = Warned(t if before is None else before.t, number, words)
 
 

@@ -70,7 +70,7 @@ class FlownRows(_Run):
     def __getitem__(self, i: int) -> FlownTick:
         k = self.first + i
         record = self.table.records[k]
-        t, shut = float(record.told.t), bool(record.done.inhibit)
+        t, shut = float(record.inputs.t), bool(record.outputs.inhibit)
         return FlownTick(
             self.table, k, t, self.agent, self.names, shut=shut, fault=self.notes.get(i)
         )

@@ -60,25 +60,25 @@ class FlownTick:
         """See `Tick`."""
         if self._inputs is None:
             table, k = self.table, self.k
-            told, (seen, heard, _) = table.records[k].told, table.counts[k].tolist()
-            t, supply, tank = float(told.t), float(told.supply_pressure), float(told.tank_pressure)
+            row, (seen, others, _) = table.records[k].inputs, table.counts[k].tolist()
+            t, supply, tank = float(row.t), float(row.supply_pressure), float(row.tank_pressure)
             self._inputs = Inputs(
                 t,
-                bool(told.armed),
+                bool(row.armed),
                 PoseSamples(table.samples[k, :seen].copy()),
                 self._setpoint(),
-                states_of(table, k, heard, self.names),
+                states_of(table, k, others, self.names),
                 Health(t, supply, tank),
             )
         return self._inputs
 
     def _setpoint(self) -> Setpoint | None:
-        told, rows = self.table.records[self.k].told.setpoint, self.table.references[self.k]
-        until = float(told.valid_until)
-        if told.kind == SetpointKind.TRAJECTORY:
+        row, rows = self.table.records[self.k].inputs.setpoint, self.table.references[self.k]
+        until = float(row.valid_until)
+        if row.kind == SetpointKind.TRAJECTORY:
             return Trajectory(References(rows[: self.table.counts[self.k, 2]].copy()), until)
-        if told.kind == SetpointKind.DEMAND:
-            return setpoint_of(np.array(told.tolist()))
+        if row.kind == SetpointKind.DEMAND:
+            return setpoint_of(np.array(row.tolist()))
         return None
 
     @property
@@ -143,11 +143,11 @@ class FlownHostTick:
 
 
 def states_of(
-    table: TickTable | HostTable, k: int, heard: int, names: list[str]
+    table: TickTable | HostTable, k: int, others: int, names: list[str]
 ) -> dict[str, State]:
-    """The first `heard` states of others in row `k`, by name."""
-    whose = [names[one] for one in table.vehicles[k, :heard].tolist()]
-    return dict(zip(whose, map(States.struct, table.states[k, :heard].tolist()), strict=True))
+    """The first `others` states of others in row `k`, by name."""
+    whose = [names[one] for one in table.vehicles[k, :others].tolist()]
+    return dict(zip(whose, map(States.struct, table.states[k, :others].tolist()), strict=True))
 
 
 AnyTick = Tick | FlownTick

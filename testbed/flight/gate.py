@@ -92,16 +92,16 @@ def refuse(p, m, row):
         m: MEMORY, changed in place.
         row: record.ROW.
     """
-    told, braking = row.told, row.done.braking == 1
+    inputs, braking = row.inputs, row.outputs.braking == 1
     if m.fault != 0:
         return m.fault
-    if told.armed == 0:
+    if inputs.armed == 0:
         return InhibitReason.NOT_ARMED.value
-    if told.session_ok == 0 and not braking:
+    if inputs.session_ok == 0 and not braking:
         return InhibitReason.OTHER_SESSION.value
     if row.state.known == 0:
         return InhibitReason.NO_POSE_YET.value
-    if told.setpoint.kind == NO_SETPOINT and not braking:
+    if inputs.setpoint.kind == NO_SETPOINT and not braking:
         return InhibitReason.NO_SETPOINT_YET.value
     m.fault = trouble(p, m.values, row, braking)
     return m.fault
@@ -110,7 +110,7 @@ def refuse(p, m, row):
 @compiled
 def trouble(p, values, row, braking):
     """Reason to latch a fault, its values written to `values`; 0: none."""
-    told, state, wrench = row.told, row.state, row.done.commanded
+    inputs, state, wrench = row.inputs, row.state, row.outputs.commanded
     pose_timeout = p.blind if braking else p.pose_timeout
     if not is_number((state.x, state.y, state.theta, state.vx, state.vy, state.omega)):
         return InhibitReason.ESTIMATE_NOT_FINITE.value
@@ -122,7 +122,7 @@ def trouble(p, values, row, braking):
     if not braking and state.rejected > p.max_rejected:
         values[0] = state.rejected
         return InhibitReason.POSES_REJECTED.value
-    waited = told.effect_at - told.setpoint.valid_until
+    waited = inputs.effect_at - inputs.setpoint.valid_until
     if not braking and not waited <= p.link_timeout:
         values[0], values[1] = waited, p.link_timeout
         return InhibitReason.SETPOINT_TOO_OLD.value
@@ -133,7 +133,7 @@ def trouble(p, values, row, braking):
     if not braking and (speed2 > p.max_speed * p.max_speed or abs(state.omega) > p.max_spin):
         values[0], values[1], values[2] = state.vx, state.vy, state.omega
         return InhibitReason.TOO_FAST.value
-    if not is_number((told.supply_pressure,)):
+    if not is_number((inputs.supply_pressure,)):
         return InhibitReason.SUPPLY_NOT_FINITE.value
     return 0
 

@@ -24,7 +24,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from testbed.core.bundle import Bundle
-from testbed.core.compiled import settled
+from testbed.core.compiled import with_fixed_types
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
 from testbed.core.path import Path
 from testbed.core.rows import References, States, setpoint_of
@@ -76,7 +76,7 @@ OF_MODEL = ("_turn", "_t", "_p", "_v", "_ahead", "_sent", "message", "filtered")
 OF_LAW = ("_law", "_law_state")
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """Newest states and messages of the other vehicles."""
 
     names: tuple[str, ...]  # of those whose state is known
@@ -129,7 +129,10 @@ class Guidance:
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
-        self._extrapolate, self._advance_model = settled(extrapolate), settled(advance_model)
+        self._extrapolate, self._advance_model = (
+            with_fixed_types(extrapolate),
+            with_fixed_types(advance_model),
+        )
         self._ahead = np.empty((0, References.width))  # references not due yet, see rows.References
         self.model: Bundle | None = None  # of a law in compiled code, see reference_model.py
         self._compiled = self._compiled_law()
@@ -188,10 +191,10 @@ class Guidance:
             messages: newest message of each other vehicle's law.
         """
         states = States.of(list(neighbours.values())).rows
-        heard = Heard(tuple(neighbours), states, messages or {})
-        return setpoint_of(self.step_row(t, States.numbers(own), heard))
+        received = Received(tuple(neighbours), states, messages or {})
+        return setpoint_of(self.step_row(t, States.numbers(own), received))
 
-    def step_row(self, t: float, own: Sequence[float], heard: Heard) -> Array:
+    def step_row(self, t: float, own: Sequence[float], received: Received) -> Array:
         """`step` with rows of numbers: of the own state, see rows.States, and of the others.
 
         Returns:
@@ -204,16 +207,16 @@ class Guidance:
             self._t = t
             self._p, self._v = np.array(own[1:3]), np.zeros(2)
         if self._params.mode == "wrench":
-            return self._demand(t, own, heard, self._turn)
+            return self._demand(t, own, received, self._turn)
         rows: list[Sequence[float]] = [*self._ahead.tolist()]
         while self._t <= t + self._params.preview_s + 1e-9:
-            rows.append(self._reference(heard, self._turn))
+            rows.append(self._reference(received, self._turn))
         ahead, until = np.array(rows), rows[-1][0] + self._params.setpoint_life_s
-        if self._knows(heard) and len(rows) == 1 + len(self._ahead):
+        if self._knows(received) and len(rows) == 1 + len(self._ahead):
             self._ahead[:] = ahead[1:]
         else:
             self._ahead = ahead[1:]
-            self.model = None if self._compiled is None else self._model(heard, t)
+            self.model = None if self._compiled is None else self._model(received, t)
         head = TRAJECTORY, ahead[0, 0], until, 0.0, 0.0, 0.0, 0.0, 0.0
         return np.concatenate((head, ahead.ravel()))
 
@@ -244,7 +247,7 @@ class Guidance:
         """Note that compiled code has advanced the model by a period; see `advance_model`.
 
         Args:
-            names: of the vehicles heard.
+            names: of the vehicles received.
             dfx, dfy: change of the law's force [N].
             hazard: that the safety filter avoided.
         """
@@ -254,27 +257,27 @@ class Guidance:
             self.filtered = Intervention(dfx, dfy, *self._barrier.hazard(hazard, names))
 
     def _demand(
-        self, t: float, own: Sequence[float], heard: Heard, turn: Turn | TurnAlong
+        self, t: float, own: Sequence[float], received: Received, turn: Turn | TurnAlong
     ) -> Array:
         """Wrench mode: integrate the law ahead from the estimate and demand its mean force."""
         disturbance = np.array(own[7:9])
-        force = self._fly(t, *self._predict(own, disturbance, t), disturbance, heard).mean_force
+        force = self._fly(t, *self._predict(own, disturbance, t), disturbance, received).mean_force
         self._sent.append((t, force))
         until = t + self._params.setpoint_life_s
         return np.array((DEMAND, t, until, *force.tolist(), *turn.at(t)))
 
-    def _reference(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
+    def _reference(self, received: Received, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """Reference mode: the model's state now, as a row; then advance it by one period."""
         if self._compiled is not None:
-            return self._advance(heard, turn)
+            return self._advance(received, turn)
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
-        ahead = self._fly(t, self._p, self._v, ZERO, heard)
+        ahead = self._fly(t, self._p, self._v, ZERO, received)
         self._t, p, v = t + self._period, ahead.p, ahead.v
         fx, fy = ahead.mean_force.tolist()
         if self._barrier is not None:
             motion = (px, py, vx, vy, 0.0, 0.0)
             fx, fy, self.filtered = self._barrier.filter_rows(
-                t, (fx, fy), motion, heard.names, heard.states
+                t, (fx, fy), motion, received.names, received.states
             )
             if self.filtered is not None:
                 h, accel = self._period, np.array([fx, fy]) / self._mass
@@ -283,23 +286,23 @@ class Guidance:
         theta, omega, alpha = turn.at(t)
         return t, px, py, theta, vx, vy, omega, fx / self._mass, fy / self._mass, alpha
 
-    def _advance(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
+    def _advance(self, received: Received, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """`_reference` of a law in compiled code."""
-        if not self._knows(heard):
-            self.model = self._model(heard, self._t)
+        if not self._knows(received):
+            self.model = self._model(received, self._t)
         row = np.empty(References.width)
-        changed = self._advance_model(self.model, heard.states, self._t, turn.at(self._t), row)
-        self.advanced(heard.names, *changed)
+        changed = self._advance_model(self.model, received.states, self._t, turn.at(self._t), row)
+        self.advanced(received.names, *changed)
         return tuple(row.tolist())
 
-    def _knows(self, heard: Heard) -> bool:
+    def _knows(self, received: Received) -> bool:
         """Whether the model is made for these vehicles."""
         company = self._company
-        return self.model is not None and company is not None and company[0] == (heard.names, ())
+        return self.model is not None and company is not None and company[0] == (received.names, ())
 
-    def _model(self, heard: Heard, t: float) -> Bundle:
+    def _model(self, received: Received, t: float) -> Bundle:
         """The model and what it knows of the vehicles that it hears."""
-        others, barrier = self._others(heard, t), self._barrier
+        others, barrier = self._others(received, t), self._barrier
         assert self._company is not None
         if self._law_state is None:
             own = Body(self._p, self._v, self._mass, ZERO, ZERO, self._max_force, self._own)
@@ -308,13 +311,13 @@ class Guidance:
         # changed in place from now on
         self._p, self._v, self._law_state = *motion, self._law_state.copy()
         self._ahead = self._ahead.copy()
-        n = len(heard.names)
+        n = len(received.names)
         return Bundle(ReferenceModel(
             self._compiled, self._law_state, motion, ZERO, self._mass, self._max_force, self._own,
             self._period, self._steps, self._world, others, self._company[1].order,
             barrier is not None, discs_of([]) if barrier is None else barrier.obstacles,
             UNLIMITED if barrier is None else barrier.limits,
-            np.zeros((n, 2)) if barrier is None else barrier.neighbour_limits(heard.names),
+            np.zeros((n, 2)) if barrier is None else barrier.neighbour_limits(received.names),
             np.empty((n, WIDTH)), self._ahead, self._params.setpoint_life_s,
         ))  # fmt: skip
 
@@ -323,10 +326,10 @@ class Guidance:
         state, kept = self._law.initial(own, others, world), self._inherited
         return kept if kept is not None and kept.shape == state.shape else state
 
-    def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: Heard) -> Ahead:
+    def _fly(self, t: float, p: Array, v: Array, disturbance: Array, received: Received) -> Ahead:
         """Integrate the law ahead over one period and keep its state."""
         own = Body(p, v, self._mass, disturbance, ZERO, self._max_force, self._own)
-        world, others = self._world_at(t), self._others(heard, t)
+        world, others = self._world_at(t), self._others(received, t)
         if self._law_state is None:
             self._law_state = self._begun(own, others, world)
         ahead = self._law.propagate(
@@ -366,10 +369,10 @@ class Guidance:
             now = until
         return p, v
 
-    def _others(self, heard: Heard, t: float) -> Neighbours:
+    def _others(self, received: Received, t: float) -> Neighbours:
         """The others, extrapolated to time `t`; for a law with messages, those that sent one."""
-        words, k = heard.messages, self._law.message_size
-        known = heard.names, tuple(words) if k else ()
+        words, k = received.messages, self._law.message_size
+        known = received.names, tuple(words) if k else ()
         if self._company is None or self._company[0] != known:
             self._company = (
                 known,
@@ -377,9 +380,9 @@ class Guidance:
             )
         names, order, company = self._company[1]
         p, v = np.empty((2, len(order), 2))
-        self._extrapolate(heard.states, order, t, p, v)
-        said, said_at = company.message, company.message_t
+        self._extrapolate(received.states, order, t, p, v)
+        sent, sent_at = company.message, company.message_t
         if k and names:
-            said = np.array([words[name].values for name in names])
-            said_at = np.array([words[name].t for name in names])
-        return Neighbours(p, v, company.radius, company.vehicle_index, said, said_at)
+            sent = np.array([words[name].values for name in names])
+            sent_at = np.array([words[name].t for name in names])
+        return Neighbours(p, v, company.radius, company.vehicle_index, sent, sent_at)

@@ -54,7 +54,7 @@ SIMILAR = 0.07  # of the smaller gain, beside that: no file knows how a jet push
 
 
 @compiled
-def causes(fresh, first, push, before, now, period, pads, heard, look):
+def causes(fresh, first, push, before, now, period, pads, evidence, look):
     """Write the columns of a look into the rows of `fresh` from `first` on.
 
     Args:
@@ -65,7 +65,7 @@ def causes(fresh, first, push, before, now, period, pads, heard, look):
         now: the same at this one.
         period: of a look [s].
         pads: 1 / mass, and of turning [1/kg].
-        heard: causes of the last looks, see jet_faults.Heard.recent.
+        evidence: causes of the last looks, see jet_faults.Evidence.recent.
         look: number of this one.
     """
     fresh[0, first + X] = fresh[1, first + Y] = period
@@ -76,9 +76,9 @@ def causes(fresh, first, push, before, now, period, pads, heard, look):
         fresh[axis, first + ALL] = push[axis]
     fresh[0, first + PUSHED], fresh[1, first + PUSHED] = push[0], push[1]
     fresh[0, first + ROTATED], fresh[1, first + ROTATED] = -push[1], push[0]
-    looks = heard.shape[0]
+    looks = evidence.shape[0]
     for d in range(DELAYS):
-        then = heard[(look - d - 1) % looks]
+        then = evidence[(look - d - 1) % looks]
         for axis in range(3):
             fresh[axis, first + DELAYED + d] = then[axis, first + ALL] - push[axis]
 

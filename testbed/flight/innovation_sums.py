@@ -47,7 +47,7 @@ class Sums(NamedTuple):
     z: Array  # uncertain parameters, (m,)
     cov: Array  # their covariance, (m, m)
     changed: Array  # r of causes, by beginning, (BEGINNINGS, m, count)
-    told: Array  # N and S of causes, by beginning, (BEGINNINGS, 2, count)
+    scores: Array  # N and S of causes, by beginning, (BEGINNINGS, 2, count)
     slow: Array  # see effectiveness.py, (m, m + 1)
 
 
@@ -63,9 +63,9 @@ def shapes_of(jets: int) -> list[tuple[int, ...]]:
 
 @compiled
 def clear(p, sums):
-    """Forget what was heard."""
+    """Forget all innovations."""
     sums.sure[:], sums.moved[:], sums.before[:], sums.fades[:] = 0.0, 0.0, 0.0, 0.0
-    sums.changed[:], sums.told[:], sums.z[:], sums.cov[:] = 0.0, 0.0, 0.0, 0.0
+    sums.changed[:], sums.scores[:], sums.z[:], sums.cov[:] = 0.0, 0.0, 0.0, 0.0
     sums.slow[:] = 0.0
     for i in range(p.sure.shape[0]):
         sums.cov[i, i] = 1.0 / p.sure[i]
@@ -127,7 +127,7 @@ def add(sums, seen, acts):
         seen: Look.
         acts: of each axis, see `learn`, (3, 3, columns).
     """
-    m, count, weight = sums.z.shape[0], sums.told.shape[2], seen.weight
+    m, count, weight = sums.z.shape[0], sums.scores.shape[2], seen.weight
     since_start = scratch((3, count))
     x0, x1, x2 = scratch(count), scratch(count), scratch(count)
     fades, nothing = scratch((3, 3 * BEGINNINGS)), scratch(3 * BEGINNINGS)
@@ -145,7 +145,7 @@ def add(sums, seen, acts):
     w0, w1, w2 = weight[0], weight[1], weight[2]
     e0, e1, e2 = w0 * seen.left[0], w1 * seen.left[1], w2 * seen.left[2]
     for b in range(BEGINNINGS):
-        own, fits = sums.told[b, 0], sums.told[b, 1]
+        own, fits = sums.scores[b, 0], sums.scores[b, 1]
         subtract(since_start[0], fades[0, 3 * b :], sums.before[b, 0], x0)
         subtract(since_start[1], fades[1, 3 * b :], sums.before[b, 1], x1)
         subtract(since_start[2], fades[2, 3 * b :], sums.before[b, 2], x2)
@@ -244,11 +244,11 @@ def age(p, m, sums):
         count, old = count // 2, old + 1
     if old != m.began:
         sums.before[old], sums.changed[old] = sums.before[fresh], sums.changed[fresh]
-        sums.told[old] = sums.told[fresh]
+        sums.scores[old] = sums.scores[fresh]
         sums.fades[:, :, 3 * old : 3 * old + 3] = sums.fades[:, :, 3 * fresh : 3 * fresh + 3]
         if m.began == fresh:
             m.began = old
-    sums.before[fresh], sums.changed[fresh], sums.told[fresh] = sums.moved, 0.0, 0.0
+    sums.before[fresh], sums.changed[fresh], sums.scores[fresh] = sums.moved, 0.0, 0.0
     for axis in range(3):
         for i in range(3):
             for k in range(3):
@@ -258,8 +258,8 @@ def age(p, m, sums):
 @compiled
 def fade(p, m, sums):
     """Forget a little: the parameters return to the file's values, and may be others later."""
-    sums.told[:] *= p.keep
-    m.heard, m.squares = p.keep * m.heard, p.keep * m.squares
+    sums.scores[:] *= p.keep
+    m.remembered, m.squares = p.keep * m.remembered, p.keep * m.squares
     sums.z[:] *= p.stays
     sums.changed[:] *= p.stays
     sums.cov[:] *= p.stays * p.stays
@@ -277,7 +277,7 @@ def weigh(p, m, sums, flow):
         sums: Sums.
         flow: of each jet in this look, (n,) [s].
     """
-    columns = sums.told.shape[2]
+    columns = sums.scores.shape[2]
     n, weak, leak = sums.ways.shape[0], m.weak.jet, m.leak.jet
     forget(m)
     sure = 1.0 / max(1.0, m.noise)
@@ -285,7 +285,7 @@ def weigh(p, m, sums, flow):
     most, m.began = 0.0, BEGINNINGS - 1
     for b in range(BEGINNINGS):
         for h in range(columns):
-            own[h], fits[h] = sure * sums.told[b, 0, h], sure * sums.told[b, 1, h]
+            own[h], fits[h] = sure * sums.scores[b, 0, h], sure * sums.scores[b, 1, h]
         suspect_jets(own, fits, own, n, m)  # of x'x nothing is left but N
         score(fits, own, 2 * n, p.period, b == BEGINNINGS - 1, m.gains, m.sizes, m.way)
         gain = max(m.leak.gain, m.weak.gain, m.gains.max())
@@ -300,4 +300,4 @@ def weigh(p, m, sums, flow):
     m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share
     m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
     left = max(0.0, m.squares - 2.0 * most / sure)
-    m.noise = max(1.0, (BELIEVED + left) / (BELIEVED + m.heard))
+    m.noise = max(1.0, (BELIEVED + left) / (BELIEVED + m.remembered))

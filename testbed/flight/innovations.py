@@ -72,7 +72,7 @@ MEMORY = record(
     x=(3, 3),  # x, y, heading: position, velocity, unexplained acceleration
     cov=(3, 3, 3),  # of these
     before=(3,),  # innovation of the last look
-    heard=float,  # innovations, as far as they are not forgotten
+    remembered=float,  # innovations, as far as they are not forgotten
     squares=float,  # what the uncertain parameters leave of them, in variances by the files
     began=int,  # beginning of the cause that explains most
     held=int,  # looks in which the same weak jet flowed and was likelier than LIKELY
@@ -83,7 +83,7 @@ MEMORY = record(
 
 
 @compiled
-def hear(p, m, sums, flown, model, thrust_scale, sample):
+def update(p, m, sums, flown, model, thrust_scale, sample):
     """Follow a pose that the estimator has accepted.
 
     Args:
@@ -119,7 +119,7 @@ def centre_of(p, sample):
 
 @compiled
 def begin(p, m, sums, flown, sample):
-    """Start the filter at a pose; what was heard stays, and the slope, if it is known."""
+    """Start the filter at a pose; the sums stay, and the slope, if it is known."""
     m.begun, m.t = 1, sample[0]
     if sums.cov[0, 0] == 0.0:
         clear(p, sums)
@@ -156,9 +156,9 @@ def pause(m):
 
 @compiled
 def restart(p, m, sums):
-    """Forget what was heard."""
+    """Forget all innovations."""
     pause(m)
-    m.x[:], m.cov[:], m.heard, m.squares, m.noise = 0.0, 0.0, 0.0, 0.0, 0.0
+    m.x[:], m.cov[:], m.remembered, m.squares, m.noise = 0.0, 0.0, 0.0, 0.0, 0.0
     clear(p, sums)
 
 
@@ -167,7 +167,7 @@ def look(p, m, sums, flown, model, thrust_scale):
     """Hear the mean pose of a look, go to its end, and weigh the causes."""
     n, span = flown.shape[1], m.t - m.since
     one, two = m.at[0] / m.poses, 0.5 * m.at[1] / m.poses  # mean time, half its mean square
-    z, count = sums.z.shape[0], sums.told.shape[2]
+    z, count = sums.z.shape[0], sums.scores.shape[2]
     acts, gone = scratch((3, 3, z + count)), scratch((3, n))
     push, shaken = scratch((3, 3)), scratch(2)  # the latter: variance by pulses, see below
     errors, weights = scratch(3), scratch(3)
@@ -211,7 +211,7 @@ def look(p, m, sums, flown, model, thrust_scale):
         seen.sees[axis, 0], seen.sees[axis, 1] = sees
         learn(sums, seen, axis, both, error, noise)
         errors[axis], weights[axis] = error, 1.0 / (noise * max(1.0, m.noise))
-        m.heard += 0.0 if outside else 1.0
+        m.remembered += 0.0 if outside else 1.0
         m.squares += seen.weight[axis] * seen.left[axis] * seen.left[axis]
         for i in range(3):
             state[i] += gain[i] * error

@@ -38,7 +38,7 @@ from testbed.flight import innovation_sums, innovations
 from testbed.flight.effectiveness import resolve
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of
-from testbed.flight.nudges import Nudges, hear, hear_long, judge
+from testbed.flight.nudges import Nudges, judge, note, note_long
 from testbed.flight.record import record
 from testbed.flight.response import response
 from testbed.flight.window import VERDICT, WHITE, Window, age, decide, factor, forget, listen
@@ -119,7 +119,7 @@ MEMORY = record(
 )
 
 
-class Heard(NamedTuple):
+class Evidence(NamedTuple):
     """Memory of the detector, changed in place."""
 
     duty: Array  # sum over the ticks since the last look, (2, n)
@@ -136,18 +136,18 @@ class Heard(NamedTuple):
 
 
 @pasted
-def look(p, m, heard, state, duty, thrust_scale):
+def look(p, m, evidence, state, duty, thrust_scale):
     """Add a tick: the estimate, and the share of the tick for which each jet flowed.
 
     Args:
         p: Known.
         m: MEMORY, changed in place.
-        heard: Heard.
+        evidence: Evidence.
         state: record.STATE.
         duty: see flow.flow_shares, shape (2, n).
         thrust_scale: of the thrust at the supply pressure.
     """
-    heard.duty[:] += duty
+    evidence.duty[:] += duty
     m.noted += 1
     if m.seen == 1 and m.noted < p.ticks:
         return
@@ -159,31 +159,31 @@ def look(p, m, heard, state, duty, thrust_scale):
         m.wait = max(0, m.wait - 1)
         if m.wait == 0:
             m.counted += 1
-        weigh(p, m, heard, now, heard.duty / p.ticks, thrust_scale)
+        weigh(p, m, evidence, now, evidence.duty / p.ticks, thrust_scale)
     m.seen, m.noted = 1, 0
     m.before[:] = now
-    heard.duty[:] = 0.0
+    evidence.duty[:] = 0.0
 
 
 @compiled
-def pause(p, m, heard):
+def pause(p, m, evidence):
     """Ignore looks with untrusted poses, until the estimator has settled."""
     innovations.pause(m.innovations)
-    pause_windows(p, m, heard)
+    pause_windows(p, m, evidence)
 
 
 @compiled
-def pause_windows(p, m, heard):
+def pause_windows(p, m, evidence):
     """`pause` the windows only: the innovations do not depend on the estimator."""
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
     forget(m.far)
     m.summed = 0
-    heard.recent[:] = heard.sums[:] = 0.0
+    evidence.recent[:] = evidence.sums[:] = 0.0
 
 
 @compiled
-def residual(before, now, duty, thrust_scale, known, heard, look, late):
+def residual(before, now, duty, thrust_scale, known, evidence, look, late):
     """Write the causes of the motion since the last look, and what is unexplained of it, to `late`.
 
     That is its last column; it has the shape (3, m + n + COLUMNS + 1).
@@ -198,13 +198,13 @@ def residual(before, now, duty, thrust_scale, known, heard, look, late):
         open_jets += max(0.0, opened[j])
     level = period * thrust_scale
     beside = 1.0 / (1.0 + known.droop * max(0.0, open_jets - 1.0))  # the share of a leak
-    fresh = heard.recent[look % looks]
+    fresh = evidence.recent[look % looks]
     fresh[:] = 0.0
     e, push = scratch(3), scratch(3)
     push[:] = 0.0
     slowed, unspun = 0.5 * period * known.drag, 0.5 * period * known.spin_drag
-    e[0] = now[1] - before[1] - period * heard.bias[0] + slowed * (before[1] + now[1])
-    e[1] = now[2] - before[2] - period * heard.bias[1] + slowed * (before[2] + now[2])
+    e[0] = now[1] - before[1] - period * evidence.bias[0] + slowed * (before[1] + now[1])
+    e[1] = now[2] - before[2] - period * evidence.bias[1] + slowed * (before[2] + now[2])
     e[2] = now[3] - before[3] + unspun * (before[3] + now[3])
     push_x = push_y = 0.0
     for j in range(n):
@@ -221,45 +221,45 @@ def residual(before, now, duty, thrust_scale, known, heard, look, late):
     fresh[2, n] = -level * push_y * known.gyration  # the centre of mass is further along x, y
     fresh[2, n + 1] = level * push_x * known.gyration
     fresh[0, n + 2] = fresh[1, n + 3] = period
-    causes(fresh, m + n, push, before, now, period, known.pads, heard.recent, look)
+    causes(fresh, m + n, push, before, now, period, known.pads, evidence.recent, look)
     rows = fresh.shape[1]
     late[:] = 0.0
     for axis in range(3):
         most = known.most[0] if axis < 2 else known.most[1]
         late[axis, rows] = min(max(e[axis], -most), most)
         for q in range(looks):
-            then, part = heard.recent[(look - q) % looks], shown[q, axis // 2]
+            then, part = evidence.recent[(look - q) % looks], shown[q, axis // 2]
             for i in range(rows):
                 late[axis, i] += part * then[axis, i]
 
 
 @compiled
-def weigh(known, m, heard, now, duty, thrust_scale):
+def weigh(known, m, evidence, now, duty, thrust_scale):
     """Add one look, in place, and keep the best suspicion of each kind in `m`.
 
     Args:
         known: Known.
         m: MEMORY.
-        heard: Heard.
+        evidence: Evidence.
         now: theta, velocity of the centre of mass, omega at this look, shape (4,).
         duty: share of the time since the last one for which each jet flowed, see flow.flow_shares,
             shape (2, n).
         thrust_scale: of the thrust at the supply pressure.
     """
-    x = scratch((3, heard.sums.shape[1]))
-    residual(m.before, now, duty, thrust_scale, known, heard, m.look, x)
-    near, bias = heard.near, heard.bias
+    x = scratch((3, evidence.sums.shape[1]))
+    residual(m.before, now, duty, thrust_scale, known, evidence, m.look, x)
+    near, bias = evidence.near, evidence.bias
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         forget(m)
         return
-    sums = heard.sums
+    sums = evidence.sums
     for axis in range(3):
         for i in range(x.shape[1]):
             sums[axis, i] += x[axis, i]
     settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
     if m.look % CALM == 0:
-        heard.calm[0] = heard.calm[1]
-        heard.calm[1] = bias
+        evidence.calm[0] = evidence.calm[1]
+        evidence.calm[1] = bias
     for axis in range(2):
         sums[axis, -1] += known.period * bias[axis]
     if m.look % known.block == 1 % known.block:  # after `weigh_short`: each block is whole there
@@ -267,66 +267,67 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
     listen(near, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
-    hear(heard.nudges.near, known.shown, m.look, weight, known.keep, x)
+    note(evidence.nudges.near, known.shown, m.look, weight, known.keep, x)
     for axis in range(2):
         bias[axis] += settling * x[axis, -1] / known.period
     if m.look % SHOWN == 0:
-        resolve(heard.innovations.slow, known.innovations.sure, heard.off, heard.sigma)
+        resolve(evidence.innovations.slow, known.innovations.sure, evidence.off, evidence.sigma)
     if m.look % known.block == 0:
-        weigh_short(known, m, heard)
+        weigh_short(known, m, evidence)
     m.summed += 1
     if m.summed == known.long:
-        weigh_long(known, m, heard)
+        weigh_long(known, m, evidence)
 
 
 @compiled
-def weigh_short(known, m, heard):
+def weigh_short(known, m, evidence):
     """Keep what the window of looks says in `m`, at the end of each block."""
     forget(m)
     slope = known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * m.counted)
     z = known.sure.shape[0]
     least, y = scratch((z, z)), scratch(z)
-    factor(heard.near.told, known.sure, 1.0 / slope, least, y)
-    decide(heard.near, least, y, known.period, False, m)
-    judge(heard.nudges.near, least, y, m)
+    factor(evidence.near.normal, known.sure, 1.0 / slope, least, y)
+    decide(evidence.near, least, y, known.period, False, m)
+    judge(evidence.nudges.near, least, y, m)
 
 
 @compiled
-def note_pull(known, m, heard):
+def note_pull(known, m, evidence):
     """Keep the pull of which the long window is sure. When it begins or ends, forget the jets."""
     sure = certain(m.far.gains, m.far.sizes, known.least, PULL)
     pulled = m.far.sizes[PULL] if sure > 0.0 else 0.0
     if (pulled > 0.0) != (m.pulled > 0.0):
-        heard.innovations.slow[:] = 0.0
+        evidence.innovations.slow[:] = 0.0
     m.pulled = pulled
 
 
 @compiled
-def weigh_long(known, m, heard):
+def weigh_long(known, m, evidence):
     """Add the sum of the last looks to the long window, and keep what it says in `m.far`.
 
     Pushes add up over a second, while the noise of its residual is that of a look. The first sum
     is left out: the estimator finds its velocity in it, and that looks like a pull.
     """
-    far, remembers = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
+    far, remembers = evidence.far, 1.0 - known.long * known.period / LONG_MEMORY_S
     forget(m.far)
     m.stretches += 1
     if m.stretches == 1:
-        m.summed, heard.sums[:] = 0, 0.0
+        m.summed, evidence.sums[:] = 0, 0.0
         return
     age(far, m.began)
     trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
     rough = known.long * known.rough
-    listen(far, heard.sums, trust, remembers, rough, WHITE)
+    listen(far, evidence.sums, trust, remembers, rough, WHITE)
     weight = 1.0 / (far.spread[0] + rough), 1.0 / far.spread[1]
-    hear_long(heard.nudges.far, known.shown, m.look, known.long, weight, remembers, heard.sums)
+    pushes, sums = evidence.nudges.far, evidence.sums
+    note_long(pushes, known.shown, m.look, known.long, weight, remembers, sums)
     slope = known.bumps * known.bumps + known.slope * known.slope
     z = known.sure.shape[0]
     least, y = scratch((z, z)), scratch(z)
-    factor(far.told, known.sure, 1.0 / slope, least, y)
+    factor(far.normal, known.sure, 1.0 / slope, least, y)
     m.began = decide(far, least, y, known.period, True, m.far)
-    judge(heard.nudges.far, least, y, m.far)
-    m.summed, heard.sums[:] = 0, 0.0
+    judge(evidence.nudges.far, least, y, m.far)
+    m.summed, evidence.sums[:] = 0, 0.0
 
 
 def slopes(tilt: Tilt) -> tuple[float, float]:

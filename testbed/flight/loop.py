@@ -305,7 +305,7 @@ def fly(
         for node in vehicles:
             tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
-            witnesses.hear(node.name, tick)
+            witnesses.add(node.name, tick)
             shut = shut and tick.shut
             if tick.fault is not None and fault is None:
                 fault, failed_at = replace(tick.fault, vehicle=node.name), t

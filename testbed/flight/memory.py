@@ -23,7 +23,7 @@ from testbed.flight import (
 from testbed.flight.fault_monitor import Counters
 from testbed.flight.fired import Fired
 from testbed.flight.hypotheses import COLUMNS
-from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, Heard
+from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, Evidence
 from testbed.flight.modulation import Carried
 from testbed.flight.nudges import AGO, LONG_AGO, Nudges
 from testbed.flight.record import record
@@ -51,7 +51,7 @@ class Memory(NamedTuple):
 
     fixed: NDArray[Any]  # one record FIXED
     fired: Fired  # plans, for the estimator
-    heard: Heard  # of the jets, for jet_faults
+    evidence: Evidence  # of the jets, for jet_faults
     counters: Counters  # of the fault table
     carried: Carried  # by the modulator
     begun: Array  # on-time so far of a pulse that may continue, (jets,) [s]
@@ -81,7 +81,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     ]  # fmt: skip
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), *3 * [(plans, jets)], one_a_jet, one_a_jet],
-        Heard: [
+        Evidence: [
             (2, jets), (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
             one_a_jet, one_a_jet, *window, *window, *innovation_sums.shapes_of(jets),
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
@@ -101,19 +101,19 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    duty, recent, bias, total, calm, off, sigma, *parts = views[Heard]
+    duty, recent, bias, total, calm, off, sigma, *parts = views[Evidence]
     near, far = Window(*parts[:6]), Window(*parts[6:12])
     innovations, nudges = innovation_sums.Sums(*parts[12:24]), Nudges(*parts[24:])
     fired = Fired(*views[Fired])
-    heard = Heard(duty, recent, bias, total, calm, off, sigma, near, far, innovations, nudges)
+    evidence = Evidence(duty, recent, bias, total, calm, off, sigma, near, far, innovations, nudges)
     fired.start[:] = fired.end[:] = -np.inf
-    heard.sigma[:] = effectiveness.SPREAD
+    evidence.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
     innovations.gives[:] = 1.0
     begun, after, flown, flowed, times, *always, named = views[Memory]
     memory = Memory(
-        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, after,
+        fixed, fired, evidence, Counters(*views[Counters]), Carried(*views[Carried]), begun, after,
         flown, flowed, times, Window(*always), named,
     )  # fmt: skip
     return memory, everything

@@ -69,7 +69,7 @@ def judge(columns, least, y, found):
 
 
 @compiled
-def hear(near, shown, look, weight, remembers, x):
+def note(near, shown, look, weight, remembers, x):
     """Add a look to the nudges of the short window, see `Nudges`."""
     count = near.shape[1] // 3
     near *= remembers
@@ -81,7 +81,7 @@ def hear(near, shown, look, weight, remembers, x):
 
 
 @compiled
-def hear_long(far, shown, look, looks, weight, remembers, x):
+def note_long(far, shown, look, looks, weight, remembers, x):
     """Add the sum of the last `looks` looks to the nudges of the long window."""
     count = far.shape[1] // 3
     far *= remembers

@@ -93,7 +93,7 @@ def gains_now(p, gains, used):
 
 
 @compiled
-def follow_jets(fired, heard, probed, period):
+def follow_jets(fired, evidence, probed, period):
     """Let the thrust that is assumed of each jet follow what the motion tells of it, in place.
 
     Only what is beyond one sigma moves it: an estimate of noise would wander. The innovations keep
@@ -102,15 +102,15 @@ def follow_jets(fired, heard, probed, period):
 
     Args:
         fired: fired.Fired.
-        heard: jet_faults.Heard.
+        evidence: jet_faults.Evidence.
         probed: see jet_faults.MEMORY.
         period: [s].
     """
-    believed = heard.innovations.gives
+    believed = evidence.innovations.gives
     for j in range(believed.shape[0]):
         if fired.leaks[j] > 0.0 or fired.gives[j] == 0.0 or j == probed - 1:
             continue
-        left = believed[j] * (1.0 + heard.off[j]) - fired.gives[j]
-        sure = max(0.0, abs(left) - believed[j] * heard.sigma[j])
+        left = believed[j] * (1.0 + evidence.off[j]) - fired.gives[j]
+        sure = max(0.0, abs(left) - believed[j] * evidence.sigma[j])
         after = fired.gives[j] + np.copysign(sure, left) * period / SLOWLY_S
         fired.gives[j] = min(max(after, LEAST), MOST)

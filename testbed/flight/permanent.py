@@ -56,33 +56,33 @@ MEMORY = record(
 
 
 @compiled
-def hear(p, m, window, heard, far):
+def update(p, m, window, evidence, far):
     """Add the looks that the long window has summed, all but its last.
 
     Args:
         p: jet_faults.Known.
         m: MEMORY, changed in place.
         window: Window of one block, changed in place.
-        heard: jet_faults.Heard.
+        evidence: jet_faults.Evidence.
         far: VERDICT of the long window.
     """
     if m.begun == 0:
         m.begun, m.noise = 1, SPREAD * SPREAD
         return
     window.spread[0], window.spread[1] = 1.0, TURNS
-    sums = heard.sums
+    sums = evidence.sums
     push_x, push_y, turn = sums[0, -1], sums[1, -1], sums[2, -1]
     listen(window, sums, 0.0, 1.0, 0.0, WHITE)
     m.sums += 1
     m.squares += push_x * push_x + push_y * push_y + turn * turn / TURNS
     sure = 1.0 / (m.noise + (p.long - 1) * p.rough)
     weighed = Window(
-        window.told * sure, window.blocks * sure, window.worth, window.newest, window.spread,
+        window.normal * sure, window.blocks * sure, window.worth, window.newest, window.spread,
         window.last,
     )  # fmt: skip
     z, slope = p.sure.shape[0], p.bumps * p.bumps + p.slope * p.slope
     least, y = scratch((z, z)), scratch(z)
-    factor(weighed.told, p.sure, 1.0 / slope, least, y)
+    factor(weighed.normal, p.sure, 1.0 / slope, least, y)
     forget(m)
     decide(weighed, least, y, p.period, True, m)
     m.gains[NUDGE], m.sizes[NUDGE] = far.gains[NUDGE], far.sizes[NUDGE]
@@ -130,8 +130,8 @@ def certain_always(far, m, least, kind):
     """
     other = beyond(far.gains, kind)
     since = m.later[kind] == 0.0 and (other < WORTH or far.gains[kind] >= other)
-    heard = kind != TURNED or m.sums >= LEAST_SUMS
-    return certain(m.gains, m.sizes, least, kind) if since and heard else 0.0
+    enough = kind != TURNED or m.sums >= LEAST_SUMS
+    return certain(m.gains, m.sizes, least, kind) if since and enough else 0.0
 
 
 @compiled

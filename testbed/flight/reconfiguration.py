@@ -174,35 +174,35 @@ def suffices(whole, force, torque):
 
 
 @compiled
-def restart(p, m, heard, fired):
-    """Let the detector begin anew: what it heard is explained, and the jets are other ones now.
+def restart(p, m, evidence, fired):
+    """Let the detector begin anew: its evidence is explained, and the jets are other ones now.
 
-    While a jet is probed, the innovations go on with the jets as they were: what they heard of the
+    While a jet is probed, the innovations go on with the jets as they were: their evidence of the
     doubt still counts.
 
     Args:
         p: jet_faults.Known.
         m: jet_faults.MEMORY, changed in place.
-        heard: jet_faults.Heard.
+        evidence: jet_faults.Evidence.
         fired: fired.Fired.
     """
-    pause_windows(p, m, heard)
+    pause_windows(p, m, evidence)
     if m.probed == 0:
-        believe(p, m, heard, fired)
+        believe(p, m, evidence, fired)
     m.counted, m.again = max(0, m.counted - 2 * CALM), AGAIN
     m.noted, m.stretches = 0, 0
-    clear(heard.near)
-    clear(heard.far)
-    heard.nudges.near[:] = heard.nudges.far[:] = 0.0
-    heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
-    heard.innovations.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD
+    clear(evidence.near)
+    clear(evidence.far)
+    evidence.nudges.near[:] = evidence.nudges.far[:] = 0.0
+    evidence.duty[:], evidence.bias[:] = 0.0, evidence.calm[0]
+    evidence.innovations.slow[:], evidence.off[:], evidence.sigma[:] = 0.0, 0.0, SPREAD
 
 
 @compiled
-def believe(p, m, heard, fired):
+def believe(p, m, evidence, fired):
     """Let the innovations begin anew, with the jets as they are now; see `restart`."""
-    innovations.restart(p.innovations, m.innovations, heard.innovations)
-    heard.innovations.gives[:], heard.innovations.leaks[:] = fired.gives, fired.leaks
+    innovations.restart(p.innovations, m.innovations, evidence.innovations)
+    evidence.innovations.gives[:], evidence.innovations.leaks[:] = fired.gives, fired.leaks
 
 
 @compiled
@@ -213,7 +213,7 @@ def take_back(m, fired, named):
 
 
 @compiled
-def end_probe(p, m, heard, fired, named, t):
+def end_probe(p, m, evidence, fired, named, t):
     """Trust a jet that was probed for long enough; `p` and `m` are jet_faults' Known and MEMORY.
 
     If a leak of another one explains more by then, it was not that jet; if both explain as much,
@@ -227,7 +227,7 @@ def end_probe(p, m, heard, fired, named, t):
         m.tested = 1
         return
     m.probed = 0
-    believe(p, m, heard, fired)
+    believe(p, m, evidence, fired)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The tick's record: what a vehicle is told, what it estimates and what it does in one tick.
+"""The tick's record: a vehicle's inputs, its estimate and its outputs in one tick.
 
 Fields are numbers of eight bytes, so that a record is an array and a place in memory at once:
 `row.state.x` in compiled code and in Python. SI units; frames as in core/types.py.
@@ -62,7 +62,7 @@ SETPOINT = record(
 
 WRENCH = record(fx=float, fy=float, tau=float)  # in B [N, N, N m]
 
-TOLD = record(  # inputs of a tick: see Health and Vitals in core/types.py
+INPUTS = record(  # of a tick: see Health and Vitals in core/types.py
     t=float,  # now [s]
     effect_at=float,  # when the next pulses take effect [s]
     armed=int,
@@ -74,7 +74,7 @@ TOLD = record(  # inputs of a tick: see Health and Vitals in core/types.py
     setpoint=SETPOINT,
 )  # fmt: skip
 
-DONE = record(  # outputs of a tick
+OUTPUTS = record(  # of a tick
     seq=int,  # of the plan
     stopping=int,  # 1: the setpoint has expired, `active` is a stop
     active=REFERENCE,  # flown by the tracker
@@ -84,7 +84,7 @@ DONE = record(  # outputs of a tick
     fault=int,  # row of the fault table that is latched and decides; -1: none
     holding=int,  # number of rows that hold now
     other=int,  # the neighbour whose pose the cameras gave; -1: none
-    oldest=int,  # the neighbour not heard for longest; -1: none
+    oldest=int,  # the neighbour silent for longest; -1: none
     leak=float,  # sigmas of a jet that may leak
     hazard=int,  # avoided by the safety filter, see barrier.guarded; -1: demand not changed
     dfx=float, dfy=float,  # change of the demanded force in W [N]
@@ -95,9 +95,9 @@ DONE = record(  # outputs of a tick
 )  # fmt: skip
 
 ROW = record(
-    told=TOLD,
+    inputs=INPUTS,
     state=STATE,
-    done=DONE,
+    outputs=OUTPUTS,
     numbers=(len(Detector),),  # of the detectors, in the order of codes.Detector
 )
 

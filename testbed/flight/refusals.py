@@ -12,10 +12,10 @@ REASONS = {one.value: one for one in InhibitReason}
 
 def refusal_of(code: int, gate_fault: int, values: Array) -> Refusal:
     """The reason with the values of its words."""
-    reason, said = REASONS[code], ()
+    reason, shown = REASONS[code], ()
     if code == gate_fault:
-        said = tuple(values[: reason.words.count("{")].tolist())
-    return Refusal(reason, said)
+        shown = tuple(values[: reason.words.count("{")].tolist())
+    return Refusal(reason, shown)
 
 
 def reported(refusal: Refusal) -> FaultReport:

@@ -38,17 +38,17 @@ MEMORY = record(
 @compiled
 def filtered(limits, obstacles, period, row, neighbours, wrench, thrust_scale):
     """The demand after the safety filter, and the room left after a full stop [m]."""
-    state, done = row.state, row.done
+    state, outputs = row.state, row.outputs
     theta = state.theta + 0.5 * period * state.omega
     fx, fy = to_table_compiled(theta, wrench[0], wrench[1])
     x, y, hazard, spare = guarded(
-        row.told.effect_at, fx, fy, state.x, state.y, state.vx, state.vy, state.ax, state.ay,
+        row.inputs.effect_at, fx, fy, state.x, state.y, state.vx, state.vy, state.ax, state.ay,
         obstacles, neighbours, limits, max(thrust_scale, WORST_SHARE),
     )  # fmt: skip
-    done.hazard = hazard
+    outputs.hazard = hazard
     if hazard < 0:
         return wrench, spare
-    done.dfx, done.dfy = x - fx, y - fy
+    outputs.dfx, outputs.dfy = x - fx, y - fy
     bx, by = to_body_compiled(theta, x, y)
     return (bx, by, wrench[2]), spare
 
@@ -66,35 +66,36 @@ def respond(p, gains, m, row, demanded, through, thrust_scale):
         through: the same after the safety filter.
         thrust_scale: of the jets' force at the present supply pressure.
     """
-    told, state, done = row.told, row.state, row.done
-    done.braking = done.air_off = 0
-    if told.ended == 1:
-        done.response = max(done.response, Response.BRAKE.value)
-    if done.response <= Response.WARN.value or told.armed == 0:
+    inputs, state, outputs = row.inputs, row.state, row.outputs
+    outputs.braking = outputs.air_off = 0
+    if inputs.ended == 1:
+        outputs.response = max(outputs.response, Response.BRAKE.value)
+    if outputs.response <= Response.WARN.value or inputs.armed == 0:
         m.braking = 0  # an unlatched row ended: the next stop starts anew
         return through, 0
-    if done.response == Response.HOLD.value:
+    if outputs.response == Response.HOLD.value:
         m.braking = 0
         # the tracker already brakes when setpoints have expired
-        flies = told.setpoint.kind != NO_SETPOINT and told.effect_at <= told.setpoint.valid_until
+        setpoint = inputs.setpoint
+        flies = setpoint.kind != NO_SETPOINT and inputs.effect_at <= setpoint.valid_until
         if state.known == 0 or not flies:
             return through, 0
-        done.hazard = -1
+        outputs.hazard = -1
         return braking_wrench(gains, state, thrust_scale * p.decel), 0
-    done.hazard = -1
-    brakes = m.stopped == 0 and done.response == Response.BRAKE.value and state.known == 1
+    outputs.hazard = -1
+    brakes = m.stopped == 0 and outputs.response == Response.BRAKE.value and state.known == 1
     decel = max(thrust_scale, WEAKEST_SHARE) * p.decel
-    if brakes and not is_over(p, m, told.t, state, decel):
-        done.braking = 1
+    if brakes and not is_over(p, m, inputs.t, state, decel):
+        outputs.braking = 1
         return braking_wrench(gains, state, thrust_scale * p.decel), 0
-    if done.fault >= 0 or told.ended == 1:
+    if outputs.fault >= 0 or inputs.ended == 1:
         m.stopped = 1
     # at the end a coasting vehicle lands; a vehicle that has braked needs no more air
-    if told.ended == 1 or (done.response != Response.COAST.value and done.fault >= 0):
-        done.air_off = 1
-    if done.fault >= 0:
+    if inputs.ended == 1 or (outputs.response != Response.COAST.value and outputs.fault >= 0):
+        outputs.air_off = 1
+    if outputs.fault >= 0:
         return demanded, InhibitReason.FAULT.value
-    over = told.ended == 1
+    over = inputs.ended == 1
     return demanded, InhibitReason.FLIGHT_OVER.value if over else InhibitReason.RESPONSE.value
 
 

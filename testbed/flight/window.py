@@ -40,9 +40,9 @@ VERDICT: dict[str, Kind] = {
 
 
 class Window(NamedTuple):
-    """What was heard, changed in place."""
+    """Sums of the looks, changed in place."""
 
-    told: Array  # z'z, and z'e as the last column, (m, m + 1)
+    normal: Array  # z'z, and z'e as the last column, (m, m + 1)
     blocks: Array  # of jets, leaks, causes: x'z, x'x, x'e, (BLOCKS, m + 2, width_of(n)), a ring
     worth: Array  # what is not forgotten of each block since it was the newest, (BLOCKS,)
     newest: Array  # place of the newest block, (1,)
@@ -57,8 +57,8 @@ def width_of(jets: int) -> int:
 
 @compiled
 def clear(window):
-    """Forget what was heard; how noisy it is stays known."""
-    window.told[:], window.blocks[:], window.last[:] = 0.0, 0.0, 0.0
+    """Forget the looks; how noisy they are stays known."""
+    window.normal[:], window.blocks[:], window.last[:] = 0.0, 0.0, 0.0
 
 
 @compiled
@@ -96,9 +96,9 @@ def listen(window, x, trust, keep, rough, white):
         rough: see jet_faults.Known.
         white: variance of the difference of two residuals, in variances of one.
     """
-    spread, last, told = window.spread, window.last, window.told
+    spread, last, normal = window.spread, window.last, window.normal
     worth, now = window.worth, int(window.newest[0])
-    block, m, rows = window.blocks[now], told.shape[0], x.shape[1] - 1
+    block, m, rows = window.blocks[now], normal.shape[0], x.shape[1] - 1
     n, e = m - 4, (x[0, rows], x[1, rows], x[2, rows])
     dx, dy, turn = e[0] - last[0], e[1] - last[1], e[2] - last[2]
     push = 0.5 * (dx * dx + dy * dy) / white
@@ -111,8 +111,8 @@ def listen(window, x, trust, keep, rough, white):
     for k in range(m):
         a, b, c = x[0, k] * push, x[1, k] * push, x[2, k] * spun
         for i in range(m):
-            told[k, i] = keep * told[k, i] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
-        told[k, m] = keep * told[k, m] + (a * e[0] + b * e[1] + c * e[2])
+            normal[k, i] = keep * normal[k, i] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
+        normal[k, m] = keep * normal[k, m] + (a * e[0] + b * e[1] + c * e[2])
         for i in range(n):  # possible suspicions: jets, leaks, other causes
             block[k, i] = keep * block[k, i] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
         for i in range(m, rows):
@@ -125,22 +125,22 @@ def listen(window, x, trust, keep, rough, white):
 
 
 @compiled
-def factor(told, sure, slope, least, y):
+def factor(normal, sure, slope, least, y):
     """Write L^-1 of z'z + 1 / tolerances^2 to `least`, (m, m), and L^-1 z'e to `y`, (m,).
 
     Args:
-        told: see Window.
+        normal: see Window.
         sure: 1 / tolerance^2 of z, (m,).
         slope: the same of the slope, the last two of z.
         least: written.
         y: written.
     """
-    m = told.shape[0]
+    m = normal.shape[0]
     root = scratch((m, m))
     least[:], y[:] = 0.0, 0.0
     for i in range(m):
         for k in range(i + 1):
-            total = told[i, k]
+            total = normal[i, k]
             if i == k:
                 total += slope if i >= m - 2 else sure[i]
             for q in range(k):
@@ -153,7 +153,7 @@ def factor(told, sure, slope, least, y):
                 total -= root[i, q] * least[q, h]
             least[i, h] = total * root[i, i]
         for q in range(i + 1):
-            y[i] += least[i, q] * told[q, m]
+            y[i] += least[i, q] * normal[q, m]
 
 
 @inlined

@@ -32,7 +32,7 @@ class Witnesses:
     def __init__(self) -> None:
         self._ticks: dict[str, deque[AnyTick]] = {}
 
-    def hear(self, name: str, tick: AnyTick) -> None:
+    def add(self, name: str, tick: AnyTick) -> None:
         """Keep a vehicle's tick; a tick that was kept before changes nothing."""
         kept = self._ticks.setdefault(name, deque(maxlen=KEPT))
         if not kept or kept[-1].t < tick.t:
@@ -42,9 +42,9 @@ class Witnesses:
         """The cause that all ticks together show, if there is one; otherwise the same fault."""
         if fault.vehicle not in self._ticks:
             return fault
-        told = self._ticks[fault.vehicle][-1].inputs.vitals.fleet
-        moved = told is not None and told.origin.id == FaultId.FRAME_MOVED
-        shown = told.origin.text if told is not None and moved else ""  # by reference bodies
+        report = self._ticks[fault.vehicle][-1].inputs.vitals.fleet
+        moved = report is not None and report.origin.id == FaultId.FRAME_MOVED
+        shown = report.origin.text if report is not None and moved else ""  # by reference bodies
         if fault.detector == Detector.FLEET.words and shown:
             return FaultReport(FaultId.FRAME_MOVED, shown)
         if fault.detector in SEEN_ELSEWHERE and (how := shown or self._moved(fault)):

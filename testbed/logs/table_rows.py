@@ -33,14 +33,14 @@ _AXES = ("fx", "fy", "tau")
 
 # numbers of the log's row, and where the record has them
 SAME = {
-    "inputs.t": "told.t",
-    "inputs.health.t": "told.t",
-    **{f"inputs.health.{one}": f"told.{one}" for one in _HEALTH},
-    **{f"inputs.vitals.{one}": f"told.{one}" for one in _VITALS},
-    "outputs.t": "told.t",
-    "outputs.issued_at": "told.t",
-    **{f"outputs.commanded_wrench.{one}": f"done.commanded.{one}" for one in _AXES},
-    **{f"outputs.realised_wrench.{one}": f"done.realised.{one}" for one in _AXES},
+    "inputs.t": "inputs.t",
+    "inputs.health.t": "inputs.t",
+    **{f"inputs.health.{one}": f"inputs.{one}" for one in _HEALTH},
+    **{f"inputs.vitals.{one}": f"inputs.{one}" for one in _VITALS},
+    "outputs.t": "inputs.t",
+    "outputs.issued_at": "inputs.t",
+    **{f"outputs.commanded_wrench.{one}": f"outputs.commanded.{one}" for one in _AXES},
+    **{f"outputs.realised_wrench.{one}": f"outputs.realised.{one}" for one in _AXES},
 }
 STATE = {
     "outputs.state.t": "state.t",
@@ -49,14 +49,14 @@ STATE = {
     "outputs.state.pose_age": "state.pose_age",
 }
 REFERENCE = {
-    "outputs.reference.t": "done.active.t",
-    **{f"outputs.reference.{one}": f"done.active.{other}" for one, other in _MOTION},
-    **{f"outputs.reference.accel.{one}": f"done.active.{one}" for one in ("ax", "ay", "alpha")},
+    "outputs.reference.t": "outputs.active.t",
+    **{f"outputs.reference.{one}": f"outputs.active.{other}" for one, other in _MOTION},
+    **{f"outputs.reference.accel.{one}": f"outputs.active.{one}" for one in ("ax", "ay", "alpha")},
 }
 _PAIRS = tuple(zip(_DEMAND, _OF_SETPOINT, strict=True))
-DEMAND = {f"outputs.demand.{one}": f"told.setpoint.{other}" for one, other in _PAIRS}
-ASKED = {f"inputs.setpoint.demand.{one}": f"told.setpoint.{other}" for one, other in _PAIRS}
-UNTIL = {"inputs.setpoint.valid_until": "told.setpoint.valid_until"}
+DEMAND = {f"outputs.demand.{one}": f"inputs.setpoint.{other}" for one, other in _PAIRS}
+ASKED = {f"inputs.setpoint.demand.{one}": f"inputs.setpoint.{other}" for one, other in _PAIRS}
+UNTIL = {"inputs.setpoint.valid_until": "inputs.setpoint.valid_until"}
 
 _WORDS = np.zeros(max(InhibitReason) + 1, np.int64)  # values in the words of each reason
 for _one in InhibitReason:
@@ -172,8 +172,8 @@ class TableRows:
         n, writer = len(ticks), self._writer
         words = rows.memory.view(np.float64)[:n]
         numbers = records.view(np.float64).reshape(n, -1)
-        told, state, done = records["told"], records["state"], records["done"]
-        aim, known = told["setpoint"]["kind"], state["known"] == 1
+        given, state, done = records["inputs"], records["state"], records["outputs"]
+        aim, known = given["setpoint"]["kind"], state["known"] == 1
         flown = known & (aim != SetpointKind.NONE)
         demanded = flown & (aim == SetpointKind.DEMAND) & (done["stopping"] == 0)
         _SAME.copy(words, numbers)
@@ -184,13 +184,13 @@ class TableRows:
         _UNTIL.copy(words, numbers, aim == SetpointKind.TRAJECTORY)
         inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
         inputs["setpoint"]["kind"] = aim
-        inputs["armed"], inputs["end"] = told["armed"], told["ended"]
+        inputs["armed"], inputs["end"] = given["armed"], given["ended"]
         vitals = inputs["vitals"]
-        vitals["foreign"], vitals["session_ok"] = told["foreign"], told["session_ok"]
-        vitals["same_config"], vitals["fleet"] = told["same_config"], told["fleet_failed"]
+        vitals["foreign"], vitals["session_ok"] = given["foreign"], given["session_ok"]
+        vitals["same_config"], vitals["fleet"] = given["same_config"], given["fleet_failed"]
         outputs["state"]["rejected"] = np.where(known, state["rejected"], 0)
         period = ticks.agent.params.gains.period
-        outputs["valid_until"] = told["t"] + period
+        outputs["valid_until"] = given["t"] + period
         outputs["message_t"] = np.nan
         latched = (done["inhibit"] == done["gate_fault"]) & (done["inhibit"] > 0)
         length = np.where(latched, _WORDS[done["inhibit"]], 0)

@@ -220,19 +220,19 @@ class ReferenceLog:
         if kept is None:
             return
         records, period = kept.table.records[kept.rows], kept.agent.params.gains.period
-        told, done = records["told"], records["done"]
-        for i in np.flatnonzero((done["hazard"] >= 0) & (done["inhibit"] == 0)).tolist():
-            dfx, dfy, t = float(done["dfx"][i]), float(done["dfy"][i]), float(told["t"][i])
+        inputs, outputs = records["inputs"], records["outputs"]
+        for i in np.flatnonzero((outputs["hazard"] >= 0) & (outputs["inhibit"] == 0)).tolist():
+            dfx, dfy, t = float(outputs["dfx"][i]), float(outputs["dfy"][i]), float(inputs["t"][i])
             self._filtered += (t + period - t) * math.hypot(dfx, dfy)
-        kind = told["setpoint"]["kind"]
-        demanded = (kind == SetpointKind.DEMAND) & (done["stopping"] == 0)
-        active, commanded = done["active"], done["commanded"]
+        kind = inputs["setpoint"]["kind"]
+        demanded = (kind == SetpointKind.DEMAND) & (outputs["stopping"] == 0)
+        active, commanded = outputs["active"], outputs["commanded"]
         force = list(map(math.hypot, commanded["fx"].tolist(), commanded["fy"].tolist()))
         rows = np.column_stack((
             records["state"]["t"],
             np.where(demanded, math.nan, active["x"]),
             np.where(demanded, math.nan, active["y"]),
-            np.where(demanded, told["setpoint"]["theta"], active["theta"]),
+            np.where(demanded, inputs["setpoint"]["theta"], active["theta"]),
             force,
         ))  # fmt: skip
         flown = (kind != SetpointKind.NONE) & (records["state"]["known"] == 1)

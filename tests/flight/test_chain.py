@@ -12,7 +12,7 @@ from stages import agent_of
 from testbed.config import find, load
 from testbed.config.shipped import shipped_faults
 from testbed.core.types import Demand, Health, Inputs, PoseSample
-from testbed.flight.record import DONE, packing, places_in, record
+from testbed.flight.record import OUTPUTS, packing, places_in, record
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
@@ -96,7 +96,7 @@ def test_numba_changes_no_bit(name, inject):
 
 
 def test_places_of_fields_are_those_of_their_packed_numbers():
-    row = np.zeros(1, DONE)
+    row = np.zeros(1, OUTPUTS)
     row["fault"], row["gate_fault"] = 7, 5
-    numbers = packing(DONE).unpack(row.tobytes())
-    assert [numbers[k] for k in places_in(DONE, "fault", "gate_fault")] == [7, 5]
+    numbers = packing(OUTPUTS).unpack(row.tobytes())
+    assert [numbers[k] for k in places_in(OUTPUTS, "fault", "gate_fault")] == [7, 5]

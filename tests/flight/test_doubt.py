@@ -64,9 +64,9 @@ def test_a_probe_ends_when_the_weak_jet_explains_more(leak, weak, goes_on, named
     found.weak.gain = found.gains[WEAK] = weak
     found.leak.share, found.leak_held, m.probed, memory.named[4] = 0.3, 5, 5, 20.0
     assert not bad_jet.leaks_by_innovations(m)
-    end_probe(p.jets_known, m, memory.heard, memory.fired, memory.named, 19.9 + PROBE_S)
+    end_probe(p.jets_known, m, memory.evidence, memory.fired, memory.named, 19.9 + PROBE_S)
     assert (m.probed, m.tested) == (5, 0)
-    end_probe(p.jets_known, m, memory.heard, memory.fired, memory.named, 20.1 + PROBE_S)
+    end_probe(p.jets_known, m, memory.evidence, memory.fired, memory.named, 20.1 + PROBE_S)
     assert (m.probed, m.tested) == ((5, 1) if goes_on else (0, 0))
     assert bad_jet.leaks_by_innovations(m) == named
 

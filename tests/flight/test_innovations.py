@@ -22,7 +22,7 @@ class Flown:
         self.model, self.believed = model_of(vehicle), model_of(believed or vehicle)
         self.p = known_of(vehicle, 0.1, EstimatorParams(), table).innovations
         memory, _ = make_memory(JETS, 4, 1, 1)
-        self.m, self.sums = memory.fixed[0].jet_faults.innovations, memory.heard.innovations
+        self.m, self.sums = memory.fixed[0].jet_faults.innovations, memory.evidence.innovations
         self.flown, self.rng = memory.flown, np.random.default_rng(seed)
         self.noise = noise * np.sqrt(self.p.noise)[[0, 0, 1]]
         self.x, self.v, self.t = np.zeros(3), np.zeros(3), 0.0
@@ -45,7 +45,7 @@ class Flown:
             self.flown[1] += FRAME * (self.flown[0] + 0.5 * FRAME * duty)
             self.flown[0] += FRAME * duty
             seen = self.x + self.noise * self.rng.standard_normal(3)
-            innovations.hear(
+            innovations.update(
                 self.p, self.m, self.sums, self.flown, self.believed, 1.0, np.array((self.t, *seen))
             )
 
@@ -62,7 +62,7 @@ def test_without_noise_the_filter_follows_a_body_that_the_files_describe(spin_dr
     flown.fly(some(np.random.default_rng(1), 3000))
     assert np.abs(flown.m.x[:, 1] - flown.v).max() < 4e-4
     assert np.abs(flown.m.x[:, 2]).max() < 1e-3
-    assert flown.m.squares / flown.m.heard < 0.05  # of the noise that the file states
+    assert flown.m.squares / flown.m.remembered < 0.05  # of the noise that the file states
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -70,7 +70,7 @@ def test_the_innovations_of_a_healthy_vehicle_are_as_noisy_as_the_files_say(seed
     vehicle = replace(vehicle, spin_drag=0.9 * vehicle.inertia)
     flown = Flown(vehicle, table, seed, noise=1.0)
     flown.fly(some(np.random.default_rng(seed), 6000))
-    assert flown.m.squares / flown.m.heard == pytest.approx(1.0, abs=0.1)
+    assert flown.m.squares / flown.m.remembered == pytest.approx(1.0, abs=0.1)
     assert flown.m.noise == pytest.approx(1.0, abs=0.1)
     assert max(flown.m.gains) < 9.0
 
@@ -172,11 +172,11 @@ def test_the_beginning_of_the_best_cause_stays_for_as_long_as_it_is_the_best(veh
 def test_poses_after_a_gap_start_the_filter_again_and_what_was_heard_stays(vehicle, table):
     flown = Flown(vehicle, table, 1, noise=1.0)
     flown.fly(some(np.random.default_rng(1), 500))
-    heard, spread = float(flown.m.heard), np.diag(flown.sums.cov).copy()
+    heard, spread = float(flown.m.remembered), np.diag(flown.sums.cov).copy()
     flown.x, flown.v = flown.x + 0.5, flown.v + 0.05  # something pushed it meanwhile
     flown.t += 2.0
     flown.fly(np.zeros((200, JETS)))
-    assert flown.m.heard > heard
+    assert flown.m.remembered > heard
     assert max(flown.m.gains) < 9.0
     assert (np.diag(flown.sums.cov) < 1.2 * spread).all()
 
@@ -226,9 +226,9 @@ def test_the_sums_are_those_of_all_innovations_at_once(vehicle, table):
     rng, looks = np.random.default_rng(3), 25
     p = known_of(vehicle, 0.1, EstimatorParams(), table).innovations
     memory, _ = make_memory(JETS, 4, 1, 1)
-    sums = memory.heard.innovations
+    sums = memory.evidence.innovations
     innovation_sums.clear(p, sums)
-    m, count = sums.cov.shape[0], sums.told.shape[2]
+    m, count = sums.cov.shape[0], sums.scores.shape[2]
     acts = np.zeros((looks, 3, 3, m + count))
     acts[:, :, 2] = rng.normal(size=(looks, 3, m + count))  # only the look's own mean pose
     errors, noises = rng.normal(size=(looks, 3)), rng.uniform(0.5, 2.0, (looks, 3))
@@ -247,8 +247,8 @@ def test_the_sums_are_those_of_all_innovations_at_once(vehicle, table):
     least = np.linalg.inv(np.diag(noises[counts]) + z @ np.diag(1.0 / p.sure) @ z.T)
     own = np.einsum("ij,ik,kj->j", causes, least, causes)
     fits = causes.T @ least @ errors[counts]
-    assert sums.told[0, 0] == pytest.approx(own, rel=1e-9)
-    assert sums.told[0, 1] == pytest.approx(fits, rel=1e-9, abs=1e-9 * np.abs(fits).max())
+    assert sums.scores[0, 0] == pytest.approx(own, rel=1e-9)
+    assert sums.scores[0, 1] == pytest.approx(fits, rel=1e-9, abs=1e-9 * np.abs(fits).max())
     assert sums.z == pytest.approx((z.T @ least @ errors[counts]) / p.sure, rel=1e-7, abs=1e-12)
 
 
@@ -258,13 +258,13 @@ def test_the_whole_thrust_of_an_open_jet_is_heard_to_its_size(jet, vehicle, tabl
     rng = np.random.default_rng(jet)
     flown = Flown(vehicle, table, jet, noise=1.0)
     flown.fly(some(rng, 1000))
-    heard = float(flown.m.heard)
+    heard = float(flown.m.remembered)
     flown.leaks[jet] = 1.0
     flown.fly(np.zeros((100, JETS)))
     assert flown.m.leak.jet == jet
     assert flown.m.leak.share == pytest.approx(1.0, abs=0.1)
     heard *= 1.0 - 1.0 / innovations.MEMORY_S  # a second later
-    assert flown.m.heard == pytest.approx(heard + 30.0, abs=2.0)  # ten looks, three axes
+    assert flown.m.remembered == pytest.approx(heard + 30.0, abs=2.0)  # ten looks, three axes
     assert flown.m.leak_held > 1
 
 
@@ -274,5 +274,5 @@ def test_a_jet_whose_leak_the_filter_knows_leaves_white_innovations(vehicle, tab
     flown.leaks[2] = flown.sums.leaks[2] = 0.4
     rng = np.random.default_rng(1)
     flown.fly(some(rng, 6000))
-    assert flown.m.squares / flown.m.heard == pytest.approx(1.0, abs=0.1)
+    assert flown.m.squares / flown.m.remembered == pytest.approx(1.0, abs=0.1)
     assert max(flown.m.gains) < 9.0

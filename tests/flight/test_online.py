@@ -63,50 +63,50 @@ def test_switched_on_mass_and_thrust_follow(vehicle):
 
 @pytest.fixture
 def told():
-    """Fired plans and what was heard of eight jets that each give 0.9 of what is assumed."""
+    """Fired plans and what was evidence of eight jets that each give 0.9 of what is assumed."""
     memory, _ = make_memory(8, 2, 3, 1)
     rng = np.random.default_rng(3)
-    z, slow = 10.0 * rng.standard_normal((300, 19)), memory.heard.innovations.slow
+    z, slow = 10.0 * rng.standard_normal((300, 19)), memory.evidence.innovations.slow
     slow[:, :19], slow[:, 19] = z.T @ z, z.T @ (z[:, :8] @ np.full(8, -0.1))
-    memory.heard.off[:], memory.heard.sigma[:] = -0.1, 0.01
-    return memory.fired, memory.heard
+    memory.evidence.off[:], memory.evidence.sigma[:] = -0.1, 0.01
+    return memory.fired, memory.evidence
 
 
-def followed(fired, heard, seconds=100.0):
+def followed(fired, evidence, seconds=100.0):
     for _ in range(round(seconds / 0.1)):
-        follow_jets(fired, heard, 0, 0.1)
-        resolve(heard.innovations.slow, np.full(19, 1e-9), heard.off, heard.sigma)
+        follow_jets(fired, evidence, 0, 0.1)
+        resolve(evidence.innovations.slow, np.full(19, 1e-9), evidence.off, evidence.sigma)
 
 
 def test_the_assumed_thrust_of_a_jet_follows_what_the_motion_tells(told):
-    fired, heard = told
-    followed(fired, heard)
+    fired, evidence = told
+    followed(fired, evidence)
     np.testing.assert_allclose(fired.gives, 0.9, atol=0.02)
-    np.testing.assert_allclose(1.0 + heard.off, 0.9, atol=0.01)
+    np.testing.assert_allclose(1.0 + evidence.off, 0.9, atol=0.01)
 
 
 def test_a_jet_that_leaks_or_was_taken_out_stays_as_it_was_found(told):
-    fired, heard = told
+    fired, evidence = told
     fired.leaks[1], fired.gives[2] = 0.3, 0.0
-    followed(fired, heard, 1.0)
+    followed(fired, evidence, 1.0)
     assert fired.gives[1] == 1.0
     assert fired.gives[2] == 0.0
     assert fired.gives[3] < 1.0
 
 
 def test_a_jet_that_is_probed_stays_as_it_was_found(told):
-    fired, heard = told
+    fired, evidence = told
     fired.gives[4] = 0.7
-    follow_jets(fired, heard, 5, 0.1)
+    follow_jets(fired, evidence, 5, 0.1)
     assert fired.gives[4] == 0.7
-    follow_jets(fired, heard, 0, 0.1)
+    follow_jets(fired, evidence, 0, 0.1)
     assert fired.gives[4] > 0.7
 
 
 def test_an_estimate_within_its_noise_moves_nothing(told):
-    fired, heard = told
-    heard.off[:], heard.sigma[:] = 0.04, 0.05
-    follow_jets(fired, heard, 0, 0.1)
+    fired, evidence = told
+    evidence.off[:], evidence.sigma[:] = 0.04, 0.05
+    follow_jets(fired, evidence, 0, 0.1)
     np.testing.assert_array_equal(fired.gives, 1.0)
 
 

@@ -37,7 +37,7 @@ class Flight:
 
     def second(self, column=None, size=0.0, jump=(0.0, 0.0, 0.0)):
         """Jets push anywhere; a cause of this size explains the residual, and a jump."""
-        sums, first = self.memory.heard.sums, self.causes
+        sums, first = self.memory.evidence.sums, self.causes
         x, y = PUSH * self.rng.standard_normal(2)
         sums[:] = 0.0
         sums[:2, first + ALL], sums[:2, first + ROTATED] = (x, y), (-y, x)
@@ -45,7 +45,7 @@ class Flight:
         explained = size * sums[:, first + column] if column is not None else np.zeros(3)
         sums[:, -1] = explained + NOISE * self.rng.standard_normal(3) + jump
         permanent.refute(self.m, self.far)
-        permanent.hear(self.p, self.m, self.memory.permanent, self.memory.heard, self.far)
+        permanent.update(self.p, self.m, self.memory.permanent, self.memory.evidence, self.far)
 
     def sigmas(self, kind):
         return permanent.surest(self.far, self.m, self.p.least, kind)
@@ -183,7 +183,7 @@ def test_old_poses_silence_it_until_the_next_second(flight):
     fixed, row = flight.memory.fixed[0], np.zeros(1, ROW)[0]
     row.state.pose_age, still = 0.2, np.zeros(len(flight.memory.begun))
     detectors.compare(
-        flight.p, fixed.jet_faults, flight.memory.heard, flight.memory.fired, flight.m,
+        flight.p, fixed.jet_faults, flight.memory.evidence, flight.memory.fired, flight.m,
         flight.memory.permanent, row, np.zeros(3), still, 1.0,
     )  # fmt: skip
     assert flight.sigmas(TURNED) == 0.0

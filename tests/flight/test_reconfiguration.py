@@ -368,12 +368,12 @@ def test_a_landing_for_an_open_valve_takes_the_probed_jet_back():
 def test_a_probe_keeps_what_the_innovations_heard_and_ends(vehicle, table):
     agent = agent_of(vehicle, table, shipped_faults())
     memory, p = agent.memory, agent.params
-    m, heard = memory.fixed[0].jet_faults, memory.heard
-    m.innovations.heard, m.probed, memory.fired.gives[4] = 90.0, 5, 0.7
+    m, evidence = memory.fixed[0].jet_faults, memory.evidence
+    m.innovations.remembered, m.probed, memory.fired.gives[4] = 90.0, 5, 0.7
     memory.named[4] = 20.0
-    restart(p.jets_known, m, heard, memory.fired)
-    assert (m.innovations.heard, heard.innovations.gives[4]) == (90.0, 1.0)
-    end_probe(p.jets_known, m, heard, memory.fired, memory.named, 20.0 + PROBE_S)
+    restart(p.jets_known, m, evidence, memory.fired)
+    assert (m.innovations.remembered, evidence.innovations.gives[4]) == (90.0, 1.0)
+    end_probe(p.jets_known, m, evidence, memory.fired, memory.named, 20.0 + PROBE_S)
     assert m.probed == 5
-    end_probe(p.jets_known, m, heard, memory.fired, memory.named, 20.1 + PROBE_S)
-    assert (m.probed, m.innovations.heard, heard.innovations.gives[4]) == (0, 0.0, 0.7)
+    end_probe(p.jets_known, m, evidence, memory.fired, memory.named, 20.1 + PROBE_S)
+    assert (m.probed, m.innovations.remembered, evidence.innovations.gives[4]) == (0, 0.0, 0.7)

@@ -78,8 +78,8 @@ def tick(inputs, state):
 @pytest.mark.parametrize("flies", [True, False])
 def test_of_two_vehicles_the_run_knows_whether_the_other_one_flies(flies, make_state):
     witnesses, fault = Witnesses(), replace(SILENT, vehicle="sat1")
-    witnesses.hear("sat1", tick(told(make_state, sat2=1.59), make_state()))
-    witnesses.hear("sat2", tick(told(make_state), make_state() if flies else None))
+    witnesses.add("sat1", tick(told(make_state, sat2=1.59), make_state()))
+    witnesses.add("sat2", tick(told(make_state), make_state() if flies else None))
     found = witnesses.blamed(fault)
     assert (found.id, found.vehicle) == ("link_lost" if flies else "neighbour_silent", "sat1")
 
@@ -103,7 +103,7 @@ def test_a_link_that_loses_most_of_what_all_send_is_lost(every, ticks, name, mak
     for k in range(ticks):
         t = 0.1 * k
         stamp = 0.1 * (k // every * every)
-        witnesses.hear("sat1", aged(make_state, t, sat2=-0.1, sat3=stamp))
+        witnesses.add("sat1", aged(make_state, t, sat2=-0.1, sat3=stamp))
     found = witnesses.blamed(replace(SILENT, vehicle="sat1"))
     assert found.id == name
     assert name != "link_lost" or "at most 31% heard in 1.6 s of what sat2, sat3 sent" in found.text

@@ -48,7 +48,7 @@ def heard(window, looks, block):
 def test_blocks_have_what_was_heard_since_they_began(looks):
     window, block = empty(), 4
     sums = heard(window, looks, block)
-    assert window.told == pytest.approx(sum(sums)[:M][:, [*range(M), -1]])
+    assert window.normal == pytest.approx(sum(sums)[:M][:, [*range(M), -1]])
     now, began = int(window.newest[0]), (looks - 1) // block * block
     since = np.zeros((M + 2, len(SUSPECTS)))
     for k in range(BLOCKS):
@@ -72,7 +72,7 @@ def test_a_window_that_was_cleared_begins_anew():
         one, other = (at + k) % BLOCKS, (there + k) % BLOCKS
         expected = fresh.worth[other] * fresh.blocks[other]
         assert window.worth[one] * window.blocks[one] == pytest.approx(expected)
-    assert window.told == pytest.approx(fresh.told)
+    assert window.normal == pytest.approx(fresh.normal)
 
 
 @pytest.mark.parametrize("after", [20, 40, 70])  # blocks from the fault to the end
@@ -94,7 +94,7 @@ def test_a_cause_that_began_later_keeps_its_beginning(after):
         listen(window, x, 0.0, 0.975, 0.0, 2.6)
         forget(found)
         least, y = np.empty((M, M)), np.empty(M)
-        factor(window.told, np.full(M, 400.0), 1.0 / 4e-6, least, y)
+        factor(window.normal, np.full(M, 400.0), 1.0 / 4e-6, least, y)
         began = decide(window, least, y, 0.1, True, found)
     assert began == min(after - 1, BLOCKS - 2)
     assert found.gains[PULL] > found.gains[THRUST] + 3.0

@@ -158,7 +158,7 @@ def write_environment(place, t, sight):
 
 
 @compiled
-def look_at_others(i, t, p, v, said, others):
+def look_at_others(i, t, p, v, messages, others):
     """Write states and messages of all satellites except the i-th."""
     for k in range(others.vehicle_index.shape[0]):
         j = k if k < i else k + 1
@@ -166,7 +166,7 @@ def look_at_others(i, t, p, v, said, others):
         for a in range(p.shape[1]):
             others.p[k, a], others.v[k, a] = p[j, a], v[j, a]
         for a in range(others.message.shape[1]):
-            others.message[k, a] = said[j, a]
+            others.message[k, a] = messages[j, a]
 
 
 @compiled
@@ -201,23 +201,23 @@ def jolt(place, t, p, v, known, force, mass, out):
 
 
 @pasted
-def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
+def flow(law, place, mass, t, p, v, z, messages, sight, a, z_rate, wanted):
     """Write accelerations, rates of the laws' states and forces at one time."""
     law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
-    mass, p, v, z, said = borrowed((mass, p, v, z, said))
+    mass, p, v, z, messages = borrowed((mass, p, v, z, messages))
     known, still = sight.known, sight.still
     drifts(place, t, p, v, sight.drift, known)
     write_environment(place, t, sight)
     n, d = p.shape
-    if said.shape[1] > 0:
+    if messages.shape[1] > 0:
         for i in range(n):
-            look_at_others(i, t, p, v, said, sight.unheard)
+            look_at_others(i, t, p, v, messages, sight.unheard)
             own = Body(p[i], v[i], mass[i], known[i], still, np.inf, i)
             word = broadcast_of(law, z[i], own, sight.unheard, sight.world, t)
-            for k in range(said.shape[1]):
-                said[i, k] = word[k]
+            for k in range(messages.shape[1]):
+                messages[i, k] = word[k]
     for i in range(n):
-        look_at_others(i, t, p, v, said, sight.others)
+        look_at_others(i, t, p, v, messages, sight.others)
         sight.jolt[:] = 0.0
         for _ in range(2 if place.law_knows_rate else 1):  # one call site halves compile time
             own = Body(p[i], v[i], mass[i], known[i], sight.jolt, np.inf, i)
@@ -312,7 +312,7 @@ def run(law, place, mass, p, v, z, words, h, steps, every):
     ts, ps, vs = np.empty(m), np.empty((m, n, d)), np.empty((m, n, d))
     zs, fs = np.empty((m, n, z.shape[1])), np.empty((m, n, d))
     peak, travel, last = np.zeros((n, d)), np.zeros((n, d)), np.zeros((n, d))
-    said, f, sight = np.zeros((n, words)), np.empty((n, d)), empty_sight(place, n, words)
+    messages, f, sight = np.zeros((n, words)), np.empty((n, d)), empty_sight(place, n, words)
     a, k, first = np.empty((n, d)), np.empty(z.shape), np.empty((n, d))
     p1, v1, z1 = np.empty((n, d)), np.empty((n, d)), np.empty(z.shape)
     dp, dv, dz = np.empty((n, d)), np.empty((n, d)), np.empty(z.shape)
@@ -327,7 +327,7 @@ def run(law, place, mass, p, v, z, words, h, steps, every):
         dv[:] = 0.0
         dz[:] = 0.0
         for stage in range(4):
-            flow(law, place, mass, t + BEFORE[stage] * h, p1, v1, z1, said, sight, a, k, f)
+            flow(law, place, mass, t + BEFORE[stage] * h, p1, v1, z1, messages, sight, a, k, f)
             if stage == 0:
                 copy(f, first)
             add(dp, SHARE[stage], v1)
@@ -348,7 +348,7 @@ def run(law, place, mass, p, v, z, words, h, steps, every):
         ahead(p, h, dp, p)
         ahead(v, h, dv, v)
         ahead(z, h, dz, z)
-    keep((law, place, mass, sight, said, p, v, z, p1, v1, z1))  # see `pasted`
+    keep((law, place, mass, sight, messages, p, v, z, p1, v1, z1))  # see `pasted`
     return ts, ps, vs, zs, fs, peak, travel
 
 

@@ -55,7 +55,7 @@ class VehiclePorts(NamedTuple):
 
 
 @compiled
-def hear(ports, table, k, t, armed):
+def receive(ports, table, k, t, armed):
     """Write the inputs of a tick into row `k` of its table, and into the chain's record.
 
     Args:
@@ -77,7 +77,7 @@ def hear(ports, table, k, t, armed):
     seen = take(ports.film, ports.markers, table.samples[k])
     if seen < 0:
         return False
-    it = ports.row[0].told
+    it = ports.row[0].inputs
     it.t, it.effect_at, it.armed, it.ended = t, t + ports.lead, armed, 0
     it.supply_pressure, it.tank_pressure = ports.gauges[0], ports.gauges[1]
     it.battery, it.silent_s = BATTERY, 0.0
@@ -120,7 +120,7 @@ def hear(ports, table, k, t, armed):
 
 
 @compiled
-def say(ports, table, k):
+def deliver(ports, table, k):
     """After a tick: play its plan, send its state, and keep its record.
 
     Args:
@@ -135,7 +135,7 @@ def say(ports, table, k):
     """
     ports, table = unpacked(ports), unpacked(table)
     times = ports.times
-    it, done, now = ports.row[0].state, ports.row[0].done, ports.row[0].told.t
+    it, outputs, now = ports.row[0].state, ports.row[0].outputs, ports.row[0].inputs.t
     table.plans[k], table.holds[k] = times, ports.holds
     table.values[k] = ports.fixed[0].gate.values
     table.records[k] = ports.row[0]
@@ -151,9 +151,9 @@ def say(ports, table, k):
         state[7], state[8], state[9] = it.ax, it.ay, it.alpha
         state[10], state[11] = it.pose_age, it.rejected
         full = send(ports.states, ports.audience, now, state)
-    lands = done.air_off == 1 or done.response == LAND
-    looks = it.known == 1 and (done.leak > ports.alert or done.holding > 0)
-    return done.inhibit, done.fault, done.gate_fault, lands, looks, openings, full
+    lands = outputs.air_off == 1 or outputs.response == LAND
+    looks = it.known == 1 and (outputs.leak > ports.alert or outputs.holding > 0)
+    return outputs.inhibit, outputs.fault, outputs.gate_fault, lands, looks, openings, full
 
 
 class HostPorts(NamedTuple):
@@ -170,7 +170,7 @@ class HostPorts(NamedTuple):
 
 @compiled
 def attend(ports, table, k):
-    """Write what the host has heard of the vehicles into row `k` of a law's table.
+    """Write the states that the host has received into row `k` of a law's table.
 
     Args:
         ports: Bundle of HostPorts.
@@ -178,7 +178,7 @@ def attend(ports, table, k):
         k: row of this tick.
 
     Returns:
-        how many others were heard; -1: the vehicle itself was not.
+        number of others; -1: nothing has arrived from the vehicle itself.
     """
     ports, table, n = unpacked(ports), unpacked(table), 0
     states = ports.states
@@ -196,7 +196,7 @@ def attend(ports, table, k):
 
 @compiled
 def law_tick(ports, table, k, code, model, t, turn, now):
-    """A tick of a law in compiled code: hear, make a setpoint, send it and keep it.
+    """A tick of a law in compiled code: receive states, make a setpoint, send it and keep it.
 
     Args:
         ports: Bundle of HostPorts.
@@ -209,8 +209,8 @@ def law_tick(ports, table, k, code, model, t, turn, now):
         now: [s].
 
     Returns:
-        SENT; DECLINED: the vehicles heard are not those of the model, or the table has no room, and
-        the model was not advanced;
+        SENT; DECLINED: the vehicles received are not those of the model, or the table has no
+        room, and the model was not advanced;
         NOT_FINITE: the setpoint is not finite, and was not sent. Then what `next_setpoint` returns,
         and whether a link has no room for another message.
     """

@@ -12,13 +12,13 @@ from sim_twin.twin import Twin, exposures, observe
 from testbed.config import Experiment
 from testbed.core.bundle import Bundle
 from testbed.core.code_address import CodeAddress
-from testbed.core.compiled import settled
+from testbed.core.compiled import with_fixed_types
 from testbed.flight import chain
 from testbed.flight.barrier import WIDTH
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.loop import longest_silence
 from testbed.flight.reference_model import code_for
-from testbed.rig.fleet.exchange import hear, law_tick, say
+from testbed.rig.fleet.exchange import deliver, law_tick, receive
 from testbed.rig.fleet.host import TwinHost
 from testbed.rig.fleet.node import TwinNode
 from testbed.rig.fleet.ticks import (
@@ -58,7 +58,7 @@ class Fleet:
         self._ports: Bundle | None = None
         self._codes: Codes | None = None  # for bundles of these kinds
         self._kinds: tuple[Any, ...] = ()
-        self._fly_ticks = settled(fly_ticks)
+        self._fly_ticks = with_fixed_types(fly_ticks)
         n, frames = len(nodes), 2 + int(AHEAD * (1.0 + period * twin.rate))
         self._out = SpanBuffers(
             np.zeros(PROGRESS, np.int64), np.zeros(1), np.zeros(n, np.int64),
@@ -98,9 +98,9 @@ class Fleet:
         twin.note_window(float(out.now[0]), out.times[:frames], out.seen[:frames].copy())
         twin.cameras.most = progress[MOST]
         twin.plant.note_window(twin.now, progress[TOUCHES])
-        rows, openings, said = out.rows.tolist(), out.openings.tolist(), out.said.tolist()
+        rows, openings, flags = out.rows.tolist(), out.openings.tolist(), out.flags.tolist()
         vehicles = {
-            node.name: node.note_ticks(ticks, rows[v], said[v], openings[v])
+            node.name: node.note_ticks(ticks, rows[v], flags[v], openings[v])
             for v, node in enumerate(self._nodes)
         }
         hosts = {
@@ -158,10 +158,10 @@ def codes_of(
         CodeAddress(exposures, (ports.rate, ports.phase, 0, 0.0, times)),
         CodeAddress(advance, (ports.plant, ports.pulses, 0, 0.0, times, seen)),
         CodeAddress(observe, (ports.sensors, times, seen, ports.shown, 0.0)),
-        CodeAddress(hear, (own, table, 0, 0.0, 1)),
+        CodeAddress(receive, (own, table, 0, 0.0, 1)),
         CodeAddress(chain.see, (chained, samples)),
         CodeAddress(chain.act, (chained, samples, references, others)),
-        CodeAddress(say, (own, table, 0)),
+        CodeAddress(deliver, (own, table, 0)),
         CodeAddress(law_tick, (law_ports, law_table, 0, code, model, 0.0, turn, 0.0)),
         code,
     )  # fmt: skip

@@ -9,12 +9,12 @@ import numpy as np
 
 from sim_twin.twin import HOST, Twin
 from testbed.core.bundle import Bundle
-from testbed.core.compiled import settled
+from testbed.core.compiled import with_fixed_types
 from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_span import FlownHostRows
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
-from testbed.flight.guidance import Heard
+from testbed.flight.guidance import Received
 from testbed.flight.reference_model import code_for
 from testbed.flight.tick_table import make_host_table
 from testbed.rig.fleet.exchange import DECLINED, SENT, HostPorts, attend, law_tick
@@ -38,8 +38,8 @@ class TwinHost(ForkedHost):
         self._parts: tuple[Any, ...] = (None,) * 3  # links and model when `_ports` was made
         self._known = np.zeros(0, np.int64)  # the vehicles that the model is made for
         self._to, self._room = twin.setpoints.rows([(HOST, self.name)]), ROOM
-        self._who: tuple[bytes, tuple[str, ...]] = b"", ()  # numbers of those heard, and names
-        self._attend, self._law_tick = settled(attend), settled(law_tick)
+        self._who: tuple[bytes, tuple[str, ...]] = b"", ()  # numbers of the others, and names
+        self._attend, self._law_tick = with_fixed_types(attend), with_fixed_types(law_tick)
         self._new_table()
 
     def _new_table(self) -> None:
@@ -90,8 +90,8 @@ class TwinHost(ForkedHost):
         self._answer = answers[-1] if len(answers) > ticks else None
         return rows
 
-    def _hear(self) -> int:
-        """Write what was heard into the next row of the table; see `exchange.attend`."""
+    def _receive(self) -> int:
+        """Write the states received into the next row of the table; see `exchange.attend`."""
         self._refresh()
         return self._attend(self._ports, self._rows, self._k)
 
@@ -148,17 +148,17 @@ class TwinHost(ForkedHost):
         if (flown := self._compiled_tick(t)) is not None:
             return flown
         table, k, twin = self._table, self._k, self.twin
-        heard = self._hear()
-        if heard < 0:
+        count = self._receive()
+        if count < 0:
             return super().tick(t, armed)
         own, guidance = table.own[k].tolist(), self.guidance
         words = self._link.messages() if guidance.message_size else {}
         if self._fault is not None:
             return super().tick(t, armed)
-        self._known = table.vehicles[k, :heard].copy()
-        told = Heard(self._names_of(self._known), table.states[k, :heard], words)
+        self._known = table.vehicles[k, :count].copy()
+        received = Received(self._names_of(self._known), table.states[k, :count], words)
         try:
-            row = guidance.step_row(t + self._ahead, own, told)
+            row = guidance.step_row(t + self._ahead, own, received)
         except Exception as error:  # after any exception of a law the vehicles are stopped
             self.fail(error)
             return super().tick(t, armed)
@@ -170,17 +170,17 @@ class TwinHost(ForkedHost):
         if message is not None:
             self._link.broadcast(message)
         if message is not None or words:
-            states = states_of(table, k, heard, self._names)
+            states = states_of(table, k, count, self._names)
             inputs = HostInputs(t, States.struct(own), states, words)
             return HostTick(inputs, HostOutputs(t, setpoint_of(row), message, None, filtered))
         ahead = row[SETPOINT_WIDTH:].reshape(-1, References.width)
         if len(ahead) > self._room:
             self._room = 2 * len(ahead)
             self._new_table()
-            heard = self._hear()
+            count = self._receive()
             table, k = self._table, 0
         table.t[k], table.setpoints[k] = t, row[:SETPOINT_WIDTH]
-        table.references[k, : len(ahead)], table.counts[k] = ahead, (heard, len(ahead))
+        table.references[k, : len(ahead)], table.counts[k] = ahead, (count, len(ahead))
         self._k = k + 1
         return FlownHostTick(table, k, self._names, own[0], filtered)
 

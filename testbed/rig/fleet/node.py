@@ -10,7 +10,7 @@ from sim_twin.board import Board
 from sim_twin.twin import HOST, Twin, TwinThrusters
 from testbed.core.bundle import Bundle
 from testbed.core.codes import FaultReport
-from testbed.core.compiled import settled
+from testbed.core.compiled import with_fixed_types
 from testbed.core.jets import JetHealth
 from testbed.core.rows import References, States
 from testbed.core.warned import Warned
@@ -21,7 +21,7 @@ from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 from testbed.flight.tick_table import make_table
-from testbed.rig.fleet.exchange import Hears, VehiclePorts, hear, say
+from testbed.rig.fleet.exchange import Hears, VehiclePorts, deliver, receive
 
 ROOM = 16, 8  # poses and references of a tick, at first
 
@@ -44,9 +44,9 @@ class TwinNode:
         self._others, self._room = len(twin.names) - 1, ROOM
         self._thrusters = TwinThrusters(twin, self.name)
         self._parts: tuple[Any, ...] = (None,) * 4  # of the twin, in `_ports`
-        self._heard = np.zeros((self._others, WIDTH))  # see exchange.hear
+        self._neighbours = np.zeros((self._others, WIDTH))  # see exchange.receive
         twin.states.widen(States.width)
-        self._hear, self._say = settled(hear), settled(say)
+        self._receive, self._deliver = with_fixed_types(receive), with_fixed_types(deliver)
         self._new_table()
 
     def _new_table(self) -> None:
@@ -73,18 +73,18 @@ class TwinNode:
         """The next row of its table."""
         return self._k
 
-    def note_ticks(self, ticks: int, row: int, said: list[float], openings: int) -> FlownRows:
+    def note_ticks(self, ticks: int, row: int, flags: list[float], openings: int) -> FlownRows:
         """Note that ticks were flown, which ask for nothing, and perhaps one more, for `tick`.
 
         Args:
             ticks: how many.
             row: of its table, the next one after them and the one more.
-            said: in the newest tick, see ticks.SpanBuffers.
+            flags: of the newest tick, see ticks.SpanBuffers.
             openings: of its valves.
         """
         rows = FlownRows(self._table, self._k, ticks, self._names, self._agent)
         self._k += ticks
-        self._flown, self._said = row, said
+        self._flown, self._flags = row, flags
         self._board.openings += openings
         return rows
 
@@ -119,7 +119,7 @@ class TwinNode:
         self._parts = near, film, states, setpoints
         self._ports = Bundle(VehiclePorts(
             film, twin.cameras.markers[self._body], states, setpoints, hears, audience,
-            twin.gauges[self._body], agent.row, self._heard, memory.fixed, memory.times,
+            twin.gauges[self._body], agent.row, self._neighbours, memory.fixed, memory.times,
             memory.counters.holds, self._board.wires, agent.params.gains.period, agent.lead, ALERT,
         ))  # fmt: skip
 
@@ -144,23 +144,24 @@ class TwinNode:
     ) -> AnyTick:  # fmt: skip
         """See `VehicleNode`."""
         if self.pending:
-            return self._tick(t, self._said)
+            return self._tick(t, self._flags)
         twin, agent = self._twin, self._agent
         if end or stay or fleet is not None or twin.fleet() is not None:
             return self._node.tick(t, armed, fleet, end=end, stay=stay)
         self._look()
-        while not self._hear(self._ports, self._rows, self._k, t, int(armed)):
+        while not self._receive(self._ports, self._rows, self._k, t, int(armed)):
             self._make_room()
         table, k = self._table, self._k
-        seen, heard, ahead = table.counts[k].tolist()
-        agent.step_row(table.samples[k, :seen], table.references[k, :ahead], self._heard[:heard])
-        *said, openings, full = self._say(self._ports, self._rows, k)
+        seen, others, ahead = table.counts[k].tolist()
+        samples, references = table.samples[k, :seen], table.references[k, :ahead]
+        agent.step_row(samples, references, self._neighbours[:others])
+        *flags, openings, full = self._deliver(self._ports, self._rows, k)
         self._board.openings += openings
-        return self._tick(t, (*said, full))
+        return self._tick(t, (*flags, full))
 
-    def _tick(self, t: float, said: Sequence[float]) -> FlownTick:
-        """The newest row as a tick, after what it asks for; see exchange.say."""
-        inhibit, fault, gate_fault, lands, looks, full = said
+    def _tick(self, t: float, flags: Sequence[float]) -> FlownTick:
+        """The newest row as a tick, after what it asks for; see exchange.deliver."""
+        inhibit, fault, gate_fault, lands, looks, full = flags
         agent, k = self._agent, self._k
         self._k += 1
         if full:

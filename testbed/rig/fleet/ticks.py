@@ -16,7 +16,7 @@ from testbed.rig.fleet.exchange import DECLINED, SENT
 PORTS, TABLE, CHAIN, MODEL = 0, 1, 2, 2  # columns of `FleetPorts.vehicles` and `FleetPorts.laws`
 # places in `SpanBuffers.progress`, see `fly_ticks`
 TICKS, VEHICLES, LAWS, FRAME, FRAMES, TOUCHES, MOST, PROGRESS = range(8)
-INHIBIT, FAULT, GATE_FAULT, LANDS, LOOKS, FULL = range(6)  # of a vehicle's tick, see exchange.say
+INHIBIT, FAULT, GATE_FAULT, LANDS, LOOKS, FULL = range(6)  # of a tick, see exchange.deliver
 STATUS, DFX, DFY, HAZARD, FILLED = range(5)  # of a law's tick, see exchange.law_tick
 
 
@@ -26,10 +26,10 @@ class Codes(NamedTuple):
     exposures: CodeAddress
     advance: CodeAddress
     observe: CodeAddress
-    hear: CodeAddress
+    receive: CodeAddress
     see: CodeAddress
     act: CodeAddress
-    say: CodeAddress
+    deliver: CodeAddress
     law_tick: CodeAddress
     law: CodeAddress  # see reference_model.code_for
 
@@ -74,7 +74,7 @@ class SpanBuffers(NamedTuple):
     times: Array  # of the cameras' exposures [s]
     seen: Array  # true states at these times, (n, v, 6)
     truth: Array  # true states at the ticks, (n, v, 6)
-    said: Array  # of each vehicle's newest tick, (v, 6)
+    flags: Array  # of each vehicle's newest tick, (v, 6)
     openings: Whole  # of valves, (v,)
     model_t: Array  # time of each law's model [s], (v,)
     turns: Array  # of each law's model at each tick, (n, v, 3)
@@ -134,10 +134,10 @@ def advance_twin(it, out, now):
 @pasted
 def step_vehicle(it, out, v, now):
     """A step of a vehicle; whether it asks for nothing."""
-    codes, own, row, said = it.codes, it.vehicles[v], out.rows[v], out.said[v]
+    codes, own, row, flags = it.codes, it.vehicles[v], out.rows[v], out.flags[v]
     ports, chain = same_kind(it.ports, own[PORTS]), same_kind(it.chain, own[CHAIN])
     table = same_kind(it.table, own[TABLE])
-    if not call(codes.hear, (ports, table, row, now, 1)):
+    if not call(codes.receive, (ports, table, row, now, 1)):
         return False
     ticks, others = unpacked(table), unpacked(ports).others
     counts = ticks.counts[row]
@@ -145,9 +145,10 @@ def step_vehicle(it, out, v, now):
     references = ticks.references[row, : counts[REFERENCES]]
     call(codes.see, (chain, samples))
     call(codes.act, (chain, samples, references, others[: counts[STATES]]))
-    inhibit, fault, gate_fault, lands, looks, openings, full = call(codes.say, (ports, table, row))
-    said[INHIBIT], said[FAULT], said[GATE_FAULT] = inhibit, fault, gate_fault
-    said[LANDS], said[LOOKS], said[FULL] = lands, looks, full
+    asked = call(codes.deliver, (ports, table, row))
+    inhibit, fault, gate_fault, lands, looks, openings, full = asked
+    flags[INHIBIT], flags[FAULT], flags[GATE_FAULT] = inhibit, fault, gate_fault
+    flags[LANDS], flags[LOOKS], flags[FULL] = lands, looks, full
     out.openings[v] += openings
     out.rows[v] += 1
     out.progress[VEHICLES] += 1
