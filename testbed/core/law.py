@@ -271,8 +271,7 @@ class CompiledLaw:
     ) -> None:
         self.gains, self._initial, self._rate = gains, initial, rate
         self.message_size = message_size
-        self._propagate = with_fixed_types(propagate)
-        self._in_plane = with_fixed_types(propagate_in_plane)
+        self._propagate, self._in_plane = map(with_fixed_types, (propagate, propagate_in_plane))
 
     def for_compiled_code(self, mass: float) -> Any:
         """The law for `propagate_of`, for a vehicle of this mass [kg]; None: there is none."""
