@@ -149,10 +149,10 @@ def test_a_feeder_without_its_viewer_says_so_and_no_more(monkeypatch, capsys):
         raise RuntimeError(words)
 
     monkeypatch.setattr(sys, "argv", ["feeder", "a run", "an address"])
-    monkeypatch.setattr(feeder, "tell", lambda *_: tell("gRPC connection severed: no such viewer"))
+    monkeypatch.setattr(feeder, "feed", lambda *_: tell("gRPC connection severed: no such viewer"))
     assert feeder.main() == feeder.SEVERED
     assert capsys.readouterr() == ("", "")
-    monkeypatch.setattr(feeder, "tell", lambda *_: tell("something else"))
+    monkeypatch.setattr(feeder, "feed", lambda *_: tell("something else"))
     with pytest.raises(RuntimeError):
         feeder.main()
 

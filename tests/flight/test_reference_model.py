@@ -11,7 +11,7 @@ from testbed.core.rows import States
 from testbed.core.table import Obstacle
 from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight.barrier import Barrier, BarrierParams
-from testbed.flight.guidance import Guidance, GuidanceParams, Heard, Kept
+from testbed.flight.guidance import Guidance, GuidanceParams, Kept, Received
 
 PERIOD = 0.1  # [s]
 ROCKS = {"rock": Obstacle((0.6, 0.1), 0.3)}
@@ -54,7 +54,7 @@ def heard_at(k):
     }  # fmt: skip
     if 30 <= k < 45:
         del states["b"]
-    return Heard(tuple(states), States.of(list(states.values())).rows, {})
+    return Received(tuple(states), States.of(list(states.values())).rows, {})
 
 
 def flight(guidance, ticks=120):
