@@ -68,7 +68,7 @@ class PlainLaw:
         if callable(self._jump):  # `propagate` looks for `jump` and `broadcast`
             self.jump = self._jumped
         if callable(self._broadcast):
-            self.broadcast = self._broadcasted
+            self.broadcast = self._checked_message
         self.message_size = _message_size(law, path)
         if self.message_size and not callable(self._broadcast):
             expected = f"a method broadcast({', '.join(VERBS['broadcast'])}), which gives a message"
@@ -101,7 +101,7 @@ class PlainLaw:
         after = self._jump(law_state.copy(), *self._show(own, neighbours, world), t)
         return numbers(after, law_state.shape, self._asked["jump"], t)
 
-    def _broadcasted(
+    def _checked_message(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> Array:
         shown = self._show(own, neighbours, world)

@@ -63,9 +63,9 @@ def _battery(experiment: Experiment, name: str, gauges: Gauges) -> Iterator[Conc
     ]
     least = max([arming.battery, gauges.undervoltage_v, *floors])
     if not least <= TWIN_V <= arming.battery_most:
-        said = f"at least {least:g} V" if least > TWIN_V else f"at most {arming.battery_most:g} V"
+        supply = f"at least {least:g} V" if least > TWIN_V else f"at most {arming.battery_most:g} V"
         yield Concern(
             "battery",
-            f"{name}: it flies with {said} only, and the boards of twin and bench read"
+            f"{name}: it flies with {supply} only, and the boards of twin and bench read"
             f" {TWIN_V:g} V: there set {name}'s gauges.battery=false, gauges.undervoltage_v=0",
         )

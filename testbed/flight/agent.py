@@ -360,7 +360,7 @@ class Agent:
             if by.get(detector) == INNOVATIONS:
                 found = m.innovations
             doubtful = detector == Detector.JET_LEAKS_OR_WEAK
-            if doubtful and m.innovations.leak.gain > m.leak.gain:  # as innovations_hear_more
+            if doubtful and m.innovations.leak.gain > m.leak.gain:  # as innovations_are_surer
                 found = m.innovations
             return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)
         step = self.memory.fixed[0].estimator.step

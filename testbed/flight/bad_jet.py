@@ -175,16 +175,16 @@ def leaks_or_is_weak(m):
 
 @compiled
 def weak_is_likely(m):
-    """Whether a weak jet explains nearly as much as a leak, by the window that heard more."""
+    """Whether a weak jet explains nearly as much as a leak, by the surer window."""
     leak, weak = m.innovations.leak.gain, m.innovations.weak.gain
-    if innovations_hear_more(m):
+    if innovations_are_surer(m):
         return weak > leak - CLEARER - SIMILAR * min(leak, weak)
     return m.weak.gain > m.leak.gain - apart(m.leak.gain, m.weak.gain)
 
 
 @compiled
-def innovations_hear_more(m):
-    """Whether the innovations, and not the short window, say which leak is in doubt."""
+def innovations_are_surer(m):
+    """Whether the innovations are surer of a leak than the short window."""
     return m.innovations.leak.gain > m.leak.gain
 
 

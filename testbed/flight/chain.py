@@ -136,7 +136,7 @@ def reconfigure(p, memory, row, k):
     """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
     suspected, named, t = m.jet_faults, memory.named, row.inputs.t
-    if reconfiguration.is_no_probe(suspected, detector):
+    if reconfiguration.needs_no_probe(suspected, detector):
         return
     found, doubted = reconfiguration.suspicion_of(suspected, detector), suspected.probed - 1
     back = doubted >= 0 and doubted != found.jet

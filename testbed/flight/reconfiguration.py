@@ -19,7 +19,7 @@ from testbed.flight.bad_jet import (
     CLEARER,
     DOUBT,
     INNOVATIONS,
-    innovations_hear_more,
+    innovations_are_surer,
     leak_of,
     weak_is_likely,
     weak_of,
@@ -118,7 +118,7 @@ def suspicion_of(suspected, detector):
         return leak_of(suspected)
     if detector != DOUBTFUL:
         return weak_of(suspected)
-    return suspected.innovations.weak if innovations_hear_more(suspected) else suspected.weak
+    return suspected.innovations.weak if innovations_are_surer(suspected) else suspected.weak
 
 
 @compiled
@@ -150,7 +150,7 @@ def is_a_guess(suspected, detector):
 
 
 @compiled
-def is_no_probe(suspected, detector):
+def needs_no_probe(suspected, detector):
     """Whether a leak is in doubt, but with another cause than a weak jet: a probe tells nothing."""
     first = detector == DOUBTFUL and suspected.probed == 0
     return first and not weak_is_likely(suspected)

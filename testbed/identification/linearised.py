@@ -16,9 +16,7 @@ from testbed.identification.windows import Pushed, Windows, flown_with_slopes
 
 Array = NDArray[np.float64]
 BLOCK = 32  # windows that are reduced together; more need more memory
-SMALL = (
-    200_000  # multiplications of a product: BLAS takes threads for more, which cost 4 times as much
-)
+SMALL = 200_000  # multiplications of a product; for more BLAS starts threads, at 4 times the cost
 
 
 class Pieces(NamedTuple):
@@ -55,20 +53,13 @@ def linearised(
         ways: of each log: displacement of each pose by unit slopes at the nodes of a map,
             (w, m, nodes). The slopes along x, then along y, are numbers after the others.
     """
-    blocks = [
-        (number, slice(first, first + BLOCK))
-        for number, windows in enumerate(logs)
-        for first in range(0, len(windows.begin), BLOCK)
-    ]
-
-    def reduced(block: tuple[int, slice]) -> Pieces:
-        number, part = block
-        way = None if ways is None else ways[number][part]
-        return _reduced(
-            flights[number], steps, number, logs[number], states[number], scales, part, way
-        )
-
-    parts = [reduced(block) for block in blocks]
+    parts = []
+    for number, windows in enumerate(logs):
+        for first in range(0, len(windows.begin), BLOCK):
+            part = slice(first, first + BLOCK)
+            way = None if ways is None else ways[number][part]
+            own = flights[number], steps, number, windows, states[number], scales
+            parts.append(_reduced(*own, part, way))
     return Pieces(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -82,17 +73,17 @@ def _reduced(
     count, most = use.shape
     nodes, first = 0 if way is None else way.shape[2], 1 + len(steps)
     # errors, then slopes by each number
-    all_of_them = np.zeros((count, most, 3, first + 2 * nodes))
-    all_of_them[..., 0] = windows.seen[part] - flown
+    columns = np.zeros((count, most, 3, first + 2 * nodes))
+    columns[..., 0] = windows.seen[part] - flown
     for k, (nudged, step) in enumerate(zip(flights[1:], steps, strict=True), 1):
-        all_of_them[..., k] = (nudged.fly(windows, states, part) - flown) / step
+        columns[..., k] = (nudged.fly(windows, states, part) - flown) / step
     if way is not None:
-        all_of_them[:, :, 0, first : first + nodes] = way
-        all_of_them[:, :, 1, first + nodes :] = way
-    for one in (all_of_them, by_state):
+        columns[:, :, 0, first : first + nodes] = way
+        columns[:, :, 1, first + nodes :] = way
+    for one in (columns, by_state):
         one[~use] = 0.0
         one /= scales[:, None]
-    left = all_of_them.reshape(count, 3 * most, -1)
+    left = columns.reshape(count, 3 * most, -1)
     basis, triangle = np.linalg.qr(by_state.reshape(count, 3 * most, 6))
     along = _product(basis, left)
     left -= basis @ along

@@ -12,7 +12,7 @@ from testbed.core.codes import Detector
 from testbed.flight import bad_jet, jet_faults, window
 from testbed.flight.bad_jet import CLEARER
 from testbed.flight.hypotheses import LEAK, WEAK, leaking
-from testbed.flight.reconfiguration import PROBE_S, end_probe, is_no_probe, suspicion_of
+from testbed.flight.reconfiguration import PROBE_S, end_probe, needs_no_probe, suspicion_of
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
@@ -106,7 +106,7 @@ def test_only_a_jet_that_may_well_be_weak_is_probed(near, innovations, jet, prob
     m.leak.gain, m.weak.gain = near
     m.innovations.leak.gain, m.innovations.weak.gain = innovations
     assert suspicion_of(m, DOUBTFUL).jet == jet
-    assert is_no_probe(m, DOUBTFUL) != probes
-    assert not is_no_probe(m, Detector.JET_MISSING.value)
+    assert needs_no_probe(m, DOUBTFUL) != probes
+    assert not needs_no_probe(m, Detector.JET_MISSING.value)
     m.probed = 3  # the doubt comes back: it is a leak
-    assert not is_no_probe(m, DOUBTFUL)
+    assert not needs_no_probe(m, DOUBTFUL)

@@ -1,4 +1,4 @@
-"""What a vehicle hears before its tick and says after it, without structs in between."""
+"""What a vehicle receives before its tick and sends after it, without structs in between."""
 
 from typing import Any, NamedTuple
 
@@ -24,8 +24,8 @@ SENT, DECLINED, NOT_FINITE = range(3)  # see `law_tick`
 BATTERY, DISK_FREE = Health(0.0, 0.0, 0.0).battery, ALL_WELL.disk_free
 
 
-class Hears(NamedTuple):
-    """The links that a vehicle listens to: rows of `radio.Links`."""
+class Incoming(NamedTuple):
+    """The links to a vehicle: rows of `radio.Links`."""
 
     setpoint: int  # from the host
     states: Whole  # (n,) from the other vehicles
@@ -40,7 +40,7 @@ class VehiclePorts(NamedTuple):
     markers: Markers  # its own, see `camera.take`
     states: Links  # for the vehicles' states
     setpoints: Links
-    hears: Hears  # the links that it hears
+    incoming: Incoming  # links to it
     audience: Whole  # those on which it sends its state
     gauges: Array  # supply and tank pressure, (2,) [Pa]
     row: NDArray[Any]  # the chain's record.ROW, (1,)
@@ -69,8 +69,8 @@ def receive(ports, table, k, t, armed):
         whether the table has room for all poses and references; otherwise nothing was done.
     """
     ports, table = unpacked(ports), unpacked(table)
-    states, setpoints, hears, others = ports.states, ports.setpoints, ports.hears, ports.others
-    size = setpoints.tally[hears.setpoint, SIZE]
+    states, setpoints, links, others = ports.states, ports.setpoints, ports.incoming, ports.others
+    size = setpoints.tally[links.setpoint, SIZE]
     ahead = (size - FIRST_REFERENCE) // REFERENCE_WIDTH if size > FIRST_REFERENCE else 0
     if ahead > table.references.shape[1]:
         return False
@@ -89,7 +89,7 @@ def receive(ports, table, k, t, armed):
         aim.kind = NO_SETPOINT
         aim.t = aim.valid_until = aim.fx = aim.fy = aim.theta = aim.omega = aim.alpha = 0.0
     else:
-        one = setpoints.newest[hears.setpoint]
+        one = setpoints.newest[links.setpoint]
         aim.kind, aim.t, aim.valid_until, aim.fx, aim.fy = (
             int(one[0]),
             one[1],
@@ -104,15 +104,15 @@ def receive(ports, table, k, t, armed):
                 table.references[k, i, j] = one[place]
                 place += 1
     n = 0
-    for i in range(hears.states.shape[0]):
-        link = hears.states[i]
+    for i in range(links.states.shape[0]):
+        link = links.states[i]
         if states.tally[link, SIZE] == SILENCE:
             continue
         one = states.newest[link]
         table.states[k, n] = one[:STATE_WIDTH]
-        table.vehicles[k, n] = hears.vehicles[i]
+        table.vehicles[k, n] = links.vehicles[i]
         others[n, 0], others[n, 1], others[n, 2], others[n, 3] = one[1], one[2], one[4], one[5]
-        others[n, 4], others[n, 5], others[n, 6] = hears.limits[i, 0], one[0], hears.limits[i, 1]
+        others[n, 4], others[n, 5], others[n, 6] = links.limits[i, 0], one[0], links.limits[i, 1]
         n += 1
     counts = table.counts[k]
     counts[SAMPLES], counts[STATES], counts[REFERENCES] = seen, n, ahead

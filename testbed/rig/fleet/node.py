@@ -21,7 +21,7 @@ from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 from testbed.flight.tick_table import make_table
-from testbed.rig.fleet.exchange import Hears, VehiclePorts, deliver, receive
+from testbed.rig.fleet.exchange import Incoming, VehiclePorts, deliver, receive
 
 ROOM = 16, 8  # poses and references of a tick, at first
 
@@ -108,7 +108,7 @@ class TwinNode:
         """Look at the twin's parts again: the vehicles in range, and arrays that have grown."""
         twin, agent, name = self._twin, self._agent, self.name
         near, barrier, memory = twin.near[name], agent.barrier, agent.memory
-        hears = Hears(
+        incoming = Incoming(
             int(twin.setpoints.rows([(HOST, name)])[0]),
             twin.states.rows((one, name) for one in near),
             np.array([twin.rows[one] for one in near], np.int64),
@@ -118,7 +118,7 @@ class TwinNode:
         film, states, setpoints = twin.cameras.film, twin.states.links, twin.setpoints.links
         self._parts = near, film, states, setpoints
         self._ports = Bundle(VehiclePorts(
-            film, twin.cameras.markers[self._body], states, setpoints, hears, audience,
+            film, twin.cameras.markers[self._body], states, setpoints, incoming, audience,
             twin.gauges[self._body], agent.row, self._neighbours, memory.fixed, memory.times,
             memory.counters.holds, self._board.wires, agent.params.gains.period, agent.lead, ALERT,
         ))  # fmt: skip
