@@ -152,10 +152,10 @@ class Allocator:
         self.p = allocation.jets_of(params, vehicle)
         self.effect = self.p.effect
 
-    def allocate(self, wanted, thrust_scale=1.0, droop=0.0):
+    def allocate(self, wanted, thrust_scale=1.0):
         wrench = (float(wanted.fx), float(wanted.fy), float(wanted.tau))
         share = np.full(len(self.p.gas), float(thrust_scale))
-        return allocation.allocate(self.p._replace(droop=droop), wrench, share)
+        return allocation.allocate(self.p, wrench, share)
 
 
 class Modulator:

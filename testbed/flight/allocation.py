@@ -194,15 +194,6 @@ def one_sided(effect, gas, share, wrench, torque_first, opposing):
         ceiling[shut] = 0.0
 
 
-@compiled
-def against_droop(duty, droop):
-    """Duties (jets,) corrected for droop: open jets weaken each other."""
-    open_jets = 0
-    for j in range(duty.shape[0]):
-        open_jets += duty[j] > 0.0
-    return np.minimum(1.0, duty * (1.0 + droop * max(0, open_jets - 1)))
-
-
 class Jets(NamedTuple):
     """A vehicle's jets for compiled code."""
 
@@ -210,26 +201,24 @@ class Jets(NamedTuple):
     gas: Array  # price of each, shape (jets,)
     opposing: NDArray[np.int64]  # pairs that push against each other, shape (n, 2)
     torque_first: bool
-    droop: float  # of the supply, per open jet
 
 
 def jets_of(params: AllocatorParams, vehicle: Vehicle) -> Jets:
     """The jets of a vehicle file."""
     numbers = in_numbers(vehicle.jets, vehicle.com)
-    return Jets(*numbers, params.priority == "torque", vehicle.air.droop)
+    return Jets(*numbers, params.priority == "torque")
 
 
 @compiled
 def allocate(p, wrench, share):
-    """Duty of each jet in [0, 1], shape (jets,).
+    """Duty of each jet in [0, 1] without droop, shape (jets,).
 
     Args:
         p: Jets.
         wrench: wanted mean (fx, fy, tau) over the period, torque about the centre of mass.
         share: of its thrust that a command adds to each jet, shape (jets,); 0: it is not used.
     """
-    duty = one_sided(p.effect, p.gas, share, wrench, p.torque_first, p.opposing)
-    return against_droop(duty, p.droop)
+    return one_sided(p.effect, p.gas, share, wrench, p.torque_first, p.opposing)
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Converts a continuous duty to on/off pulses of a solenoid: one pulse per jet and period.
 
 All pulses are centred in the period, so that their impulse has the same centre in time as the
-steady thrust they replace.
+steady thrust they replace. Where the supply droops, jets that are open together get longer pulses.
 
 `pwm`          pulse width only, rounded to the valve's limits: a dead band around zero.
 `sigma_delta`  pulse width, and the unfired remainder is carried to the next period; remainders of
@@ -69,6 +69,7 @@ class Modulator(NamedTuple):
     lag: float  # [s]
     trigger_on: float
     trigger_off: float
+    droop: float  # see vehicle.Air
     thrust: Array  # (jets,) [N]
     opposing: NDArray[np.int64]  # pairs that push against each other, shape (n, 2)
     pause: float  # of PWPF: between two pulses [s]
@@ -89,7 +90,7 @@ def modulator_of(
     pwpf = params if isinstance(params, PwpfParams) else PwpfParams()
     return Modulator(
         kinds[type(params)], period, vehicle.valve.min_on_s, vehicle.valve.min_off_s,
-        pwpf.gain, pwpf.lag_s, pwpf.trigger_on, pwpf.trigger_off,
+        pwpf.gain, pwpf.lag_s, pwpf.trigger_on, pwpf.trigger_off, vehicle.air.droop,
         np.array([jet.thrust for jet in vehicle.jets]),
         np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2),
         vehicle.valve.min_off_s if pause is None else pause,
@@ -111,22 +112,45 @@ def pulses(p, carried, duty, share):
     Args:
         p: Modulator.
         carried: Carried.
-        duty: shape (jets,).
+        duty: without droop, shape (jets,).
         share: of its thrust that a command adds to each jet, shape (jets,).
     """
     if p.kind == SIGMA_DELTA:
-        thrust = p.thrust * share
-        return fire_with_carry(
-            duty, carried.rest, thrust, p.opposing, p.period, p.min_on, p.min_off
-        )
-    on, offset = np.empty_like(duty), np.empty_like(duty)
+        return fire_with_carry(p, duty, carried.rest, p.thrust * share)
+    on, offset, together = np.empty_like(duty), np.empty_like(duty), duty.sum()
+    longer = against_droop(duty, p.droop)
     for j in range(duty.shape[0]):
         if p.kind == PWM:
-            on[j] = realisable(duty[j] * p.period, p.period, p.min_on, p.min_off)
+            on[j] = realisable(longer[j] * p.period, p.period, p.min_on, p.min_off)
             offset[j] = 0.5 * (p.period - on[j])
-        else:
-            on[j], offset[j] = pulse_frequency(p, carried, j, duty[j])
+        else:  # these pulses are not nested: each other jet flows for its share of the time
+            longer[j] = duty[j] * (1.0 + p.droop * (together - duty[j]))
+            on[j], offset[j] = pulse_frequency(p, carried, j, min(1.0, longer[j]))
     return on, offset
+
+
+@compiled
+def against_droop(on, droop):
+    """The lengths at which centred pulses give, with droop, the impulse of `on` without.
+
+    The pulses are nested. While the pulse of jet j flows, a longer one flows all the time and a
+    shorter one for its whole length, so
+
+        T_j = on_j + k sum_{i != j} min(on_i, on_j)
+
+    gives each jet its impulse exactly, if no T_j is longer than the period.
+
+    Args:
+        on: shape (jets,), in any unit of time.
+        droop: k of vehicle.Air.
+    """
+    longer = on.copy()
+    if droop > 0.0:
+        for j in range(on.shape[0]):
+            for i in range(on.shape[0]):
+                if i != j:
+                    longer[j] += droop * min(on[i], on[j])
+    return longer
 
 
 @compiled
@@ -147,37 +171,40 @@ def realisable(on, period, min_on, min_off):
 
 
 @compiled
-def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
+def fire_with_carry(p, duty, carry, thrust):
     """Centred pulses for a duty and the remainder so far; `carry` is updated in place.
 
     Args:
-        duty: shape (jets,).
+        p: Modulator.
+        duty: without droop, shape (jets,).
         carry: wanted and not yet fired, shape (jets,) [s].
-        thrust: shape (jets,).
-        opposing: pairs of jets that push against each other, shape (n, 2).
-        period: [s].
-        min_on: [s].
-        min_off: [s].
+        thrust: that a command adds to each jet, shape (jets,).
 
     Returns:
         on-times and offsets, both of shape (jets,) [s].
     """
     # one period at most: a saturated jet must not fire for minutes afterwards
-    wish = duty * period + np.minimum(np.maximum(carry, -period), period)
-    for k in range(opposing.shape[0]):  # opposing jets carry only the difference
-        i, j = opposing[k]
+    wish = duty * p.period + np.minimum(np.maximum(carry, -p.period), p.period)
+    for k in range(p.opposing.shape[0]):  # opposing jets carry only the difference
+        i, j = p.opposing[k]
         if thrust[i] <= 0.0 or thrust[j] <= 0.0:
             continue
         impulse = thrust[i] * wish[i] - thrust[j] * wish[j]
         wish[i] = max(0.0, impulse) / thrust[i]
         wish[j] = max(0.0, -impulse) / thrust[j]
-    on = np.empty_like(wish)
+    due = np.empty_like(wish)
     for j in range(wish.shape[0]):
         # no rounding up to the shortest pulse: the remainder is fired later
-        due = wish[j] >= min_on
-        on[j] = realisable(wish[j], period, min_on, min_off) if due else 0.0
-        carry[j] = wish[j] - on[j]
-    return on, 0.5 * (period - on)
+        due[j] = min(wish[j], p.period) if wish[j] >= p.min_on else 0.0
+    on = against_droop(due, p.droop)
+    for j in range(wish.shape[0]):
+        carry[j] = wish[j] - due[j]
+        if due[j] > 0.0:
+            # what droop asks for beyond the period is lost, as the demand beyond full thrust is
+            worth, possible = due[j] / on[j], min(on[j], p.period)
+            on[j] = realisable(possible, p.period, p.min_on, p.min_off)
+            carry[j] += (possible - on[j]) * worth
+    return on, 0.5 * (p.period - on)
 
 
 @compiled

@@ -214,13 +214,6 @@ def test_the_weakest_force_is_what_a_search_by_hand_finds(vehicle):
     assert weakest_force(vehicle) == pytest.approx(min(found), rel=1e-9)
 
 
-def test_droop_is_made_up_for_by_open_jets(vehicle):
-    allocator, wanted = Allocator(AllocatorParams(), vehicle), Wrench(0.05, -0.03, 0.004)
-    plain = allocator.allocate(wanted)
-    longer = allocator.allocate(wanted, droop=0.04)
-    assert longer == pytest.approx(plain * (1.0 + 0.04 * (np.count_nonzero(plain) - 1)))
-
-
 numbers = st.floats(allow_nan=True, allow_infinity=True)
 
 

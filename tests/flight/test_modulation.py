@@ -14,6 +14,7 @@ from testbed.flight.modulation import (
     PwmParams,
     PwpfParams,
     SigmaDeltaParams,
+    against_droop,
 )
 from testbed.flight.modulation import pulses as fired_pulses
 from testbed.flight.plan import in_microseconds, planner_of
@@ -29,12 +30,22 @@ periods = st.sampled_from([0.02, 0.05, 0.1, 0.2, 0.5])
 shares = st.floats(0.0, 1.0)
 
 
+@pytest.fixture(scope="module")
+def vehicle(vehicle):
+    """With a stiff supply; the tests of droop set their own."""
+    return with_droop(vehicle, 0.0)
+
+
 def name(params):
     return type(params).__name__.removesuffix("Params").lower()
 
 
 def with_valve(vehicle, **times):
     return replace(vehicle, valve=replace(vehicle.valve, **times))
+
+
+def with_droop(vehicle, droop):
+    return replace(vehicle, air=replace(vehicle.air, droop=droop))
 
 
 def fire(modulator, duty, count):
@@ -166,6 +177,46 @@ def test_pwm_has_a_dead_band_and_a_full_band(duty, on, vehicle):
 def test_pulses_are_centred(params, vehicle, duty):
     on, offset = Modulator(params, vehicle, 0.1).pulses(duty)
     assert offset + 0.5 * on == pytest.approx(np.full(JETS, 0.05))
+
+
+# Droop
+
+
+def impulses(on, offset, droop, period):
+    """Impulse of pulses in times of full thrust, by adding up 2000 slices of the period, (jets,)."""
+    at = period * (np.arange(2000) + 0.5)[:, None] / 2000
+    flows = (offset < at) & (at < offset + on)
+    share = 1.0 / (1.0 + droop * np.maximum(flows.sum(axis=1) - 1, 0))
+    return (flows * share[:, None]).mean(axis=0) * period
+
+
+@given(duty=duties, droop=st.sampled_from([0.02, 0.2, 0.6]))
+def test_pulses_give_their_impulse_while_others_flow(duty, droop):
+    on = against_droop(duty / (1.0 + droop * (JETS - 1)), droop)  # room for all of it
+    assert on.max() <= 1.0 + HAIR
+    given = impulses(on, 0.5 * (1.0 - on), droop, 1.0)
+    assert given * (1.0 + droop * (JETS - 1)) == pytest.approx(duty, abs=0.01)
+
+
+@pytest.mark.parametrize("params", KINDS, ids=name)
+@pytest.mark.parametrize("droop", [0.02, 0.2, 0.6])
+def test_the_mean_impulse_is_kept_with_droop(params, droop, vehicle):
+    duty, period = np.zeros(JETS), 0.1
+    duty[[0, 1, 2, 3]] = 0.35, 0.2, 0.11, 0.05  # the last one fires every other period
+    modulator = Modulator(params, with_droop(vehicle, droop), period)
+    given = np.zeros(JETS)
+    for _ in range(400):
+        given += impulses(*modulator.pulses(duty), droop, period)
+    error = np.abs(given / 400 / period - duty).max()
+    assert error < {"pwm": 0.05, "sigmadelta": 1e-3, "pwpf": 0.015}[name(params)]
+
+
+def test_a_saturated_jet_does_not_owe_what_droop_takes(vehicle):
+    modulator, duty = Modulator(SigmaDeltaParams(), with_droop(vehicle, 0.5), 0.1), np.zeros(JETS)
+    duty[[0, 1, 2]] = 1.0
+    on, _ = fire(modulator, duty, 50)
+    assert (on[:, :3] == 0.1).all()
+    assert modulator.carried.rest == pytest.approx(np.zeros(JETS))
 
 
 # Carried remainder

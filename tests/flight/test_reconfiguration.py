@@ -180,7 +180,7 @@ def test_a_jet_that_gives_nothing_is_not_used(vehicle):
     share[0], share[4] = 0.0, 0.7
     for k in range(20):
         wanted = 0.3 * np.cos(k), 0.3 * np.sin(k), 0.02 * np.cos(2 * k)
-        duty = allocation.allocate(allocator.p._replace(droop=0.0), wanted, share)
+        duty = allocation.allocate(allocator.p, wanted, share)
         assert duty[0] == 0.0
         assert allocator.effect @ (share * duty) == pytest.approx(np.array(wanted), abs=1e-9)
 

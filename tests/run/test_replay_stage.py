@@ -16,7 +16,7 @@ CHANGES = [  # stage, place in Parameters, factor
     ("monitor", "rows.high", 1e-3),
     ("braking", "brakes.decel", 0.9),
     ("gate", "gate.max_speed", 0.05),
-    (DUTIES, "jets.droop", 5.0),
+    (DUTIES, "jets.effect", 1.01),
     (DUTIES, "planner.modulator.min_on", 4.0),
 ]
 
