@@ -1,10 +1,12 @@
 """Are the faults of a lab noticed, and are they named right? On the twin.
 
     python benchmarks/diagnoses.py [--each 40] [--only leak_valve,hose] [--seed 0] [--jobs 1]
+                                   [--labs ring]
 
 Flies every fault of `FAULTS` in flights of one vehicle that moves a metre and turns a radian, and
-of zhang2023's three vehicles. Size, jet, direction and time are drawn. A fault of "believed wrong"
-is there from the start, all others begin after 3 to 9 s.
+of zhang2023's three vehicles; with `--labs` in flights of one vehicle of another lab (labs.py).
+Size, jet, direction and time are drawn. A fault of "believed wrong" is there from the start, all
+others begin after 3 to 9 s.
 
 not asked flights in which a weak jet was commanded too little to show
 noticed   a row of the fault table holds that fault-free flights do not show
@@ -23,6 +25,7 @@ from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
+from labs import LAYOUTS, lab
 from msgspec.structs import replace
 
 from testbed.config import find, load
@@ -126,27 +129,31 @@ class Found(NamedTuple):
     words: str
 
 
-def prepared(name, number, seed):
-    """The experiment of a flight, with its fault."""
+def prepared(name, number, seed, layout):
+    """The experiment of a flight, with its fault; `layout` of another lab's jets, or ""."""
     fault = FAULTS[name]
     rng = np.random.default_rng([seed, list(FAULTS).index(name), number])
     low, high = fault.sizes
     size = float(np.exp(rng.uniform(np.log(low), np.log(high)))) if high else None
     at_s = 0.0 if fault.from_start else round(float(rng.uniform(*WHEN)), 4)
-    what = Injection(
-        fault.kind, "sat1", at_s=at_s, value=size, jet=int(rng.integers(1, 9)),
-        towards_deg=round(float(rng.uniform(-180.0, 180.0)), 1),
-    )  # fmt: skip
-    shipped, overrides = EXPERIMENTS[number % len(EXPERIMENTS)]
+    jet, towards = rng.integers(1, 9), round(float(rng.uniform(-180.0, 180.0)), 1)
+    shipped, overrides = EXPERIMENTS[0 if layout else number % len(EXPERIMENTS)]
+    if layout:
+        overrides = [*overrides, *lab(layout, seed, number)]
     lasts = fault.lasts_s + at_s
     overrides = [*overrides, f"seed={1000 + number}", f"duration_s={lasts}"]
     experiment = load(find(shipped), [*overrides, FIXED] if fault.watched else overrides)
+    model = experiment.vehicles["sat1"].model
+    jet = int(1 + (jet - 1) % len(model.jets))
+    if layout and fault.kind == "hose":  # as strong beside the jets as on the shipped vehicle
+        size = round(size * min(one.thrust for one in model.jets) / 0.6, 6)
+    what = Injection(fault.kind, "sat1", at_s=at_s, value=size, jet=jet, towards_deg=towards)
     return replace(experiment, inject=[what])
 
 
-def fly(name, number, seed):
+def fly(name, number, seed, layout):
     """Fly a case and judge it."""
-    fault, experiment = FAULTS[name], prepared(name, number, seed)
+    fault, experiment = FAULTS[name], prepared(name, number, seed, layout)
     what = experiment.inject[0]
     rig, notes = make_twin(experiment), Notes()
     ending = rig.fly(notes)
@@ -185,10 +192,11 @@ def main():
     parser.add_argument("--only", default="", help="kinds of injections, or parts of names")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--labs", choices=LAYOUTS, default="", help="layout of the jets")
     options = parser.parse_args()
     wanted = options.only.split(",")
     names = [n for n, f in FAULTS.items() if any(w in n or w == f.kind for w in wanted)]
-    cases = [(name, k, options.seed) for name in names for k in range(options.each)]
+    cases = [(name, k, options.seed, options.labs) for name in names for k in range(options.each)]
     if options.jobs == 1:
         found = [fly(*case) for case in cases]
     else:

@@ -1,12 +1,14 @@
 """Do random healthy vehicles fly on? Every stop of a healthy vehicle is false.
 
     python benchmarks/healthy.py [--flights 200] [--seed 0] [--jobs 1] [--centre 100] [--show 17]
+                                 [--labs ring] [--lasts 30]
 
 Flight k of a seed is always the same. Drawn are the valves' opening delay and shortest pulse, the
 thrust, the mass, the cameras' rate and noise, the table's slope, the spread of the thrust, losses
 of 60 ms of the cameras, and losses of the radio; `RANGES` has the limits. Two vehicles fly the
 start of zhang2023's experiment or one vehicle moves a metre and turns a radian. With `--centre` the
-centre of mass is up to so many millimetres off the origin on each axis, as the file says.
+centre of mass is up to so many millimetres off the origin on each axis, as the file says. With
+`--labs` the vehicles and cameras are those of labs.py instead.
 
 Prints each false stop, contact, compensated jet and named cause of motion (a healthy vehicle has
 none) with the corner of the ranges in which it lies, then a count by cause. `--show K` prints the
@@ -22,6 +24,7 @@ from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
+from labs import LAYOUTS, lab
 
 from testbed.config import ConfigError, find, load
 from testbed.flight.hypotheses import CAUSES
@@ -40,6 +43,7 @@ RANGES = {  # name: low, high
     "cameras lost [%]": (0.0, 20.0),
     "radio lost [%]": (0.0, 40.0),
 }
+METRE = ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
 LOSS_S = 0.06  # mean length of a loss of the cameras
 LASTS_S = 30.0
 HOLDS = 0.5  # largest share of the jets' force that the slope and an unequal pair may take
@@ -101,20 +105,25 @@ def overrides_of(drawn: dict[str, float], number: int, lasts: float, centre: flo
     words.append(f"{model}.com=[{x:.6g},{y:.6g}]")
     words.append(f"table.tilt.uniform=[{tilt * np.cos(way):.6g},{tilt * np.sin(way):.6g}]")
     if number % 3:
-        words += ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
+        words += METRE
     return [*words, f"duration_s={lasts:g}", f"seed={number}"]
 
 
-def name_of(number: int) -> str:
-    """The experiment of a flight."""
-    return "hold" if number % 3 else "zhang2023_table_wrench"
+def prepared(number: int, options: argparse.Namespace) -> tuple[str, list[str], dict[str, float]]:
+    """The experiment of a flight, what differs from its file, and what was drawn from `RANGES`."""
+    if options.labs:
+        words = [*METRE, f"duration_s={options.lasts:g}", f"seed={number}"]
+        return "hold", [*lab(options.labs, options.seed, number), *words], {}
+    drawn = draw(options.seed, number)
+    name = "hold" if number % 3 else "zhang2023_table_wrench"
+    return name, overrides_of(drawn, number, options.lasts, options.centre), drawn
 
 
-def fly(number: int, seed: int, lasts: float, centre: float) -> Flown:
+def fly(number: int, options: argparse.Namespace) -> Flown:
     """One flight."""
-    drawn = draw(seed, number)
+    name, words, drawn = prepared(number, options)
     try:
-        experiment = load(find(name_of(number)), overrides_of(drawn, number, lasts, centre))
+        experiment = load(find(name), words)
         rig, notes = make_twin(experiment), Notes()
         ending = rig.fly(notes)
     except ConfigError as error:
@@ -153,14 +162,14 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--centre", type=float, default=0.0, help="off the origin, at most [mm]")
     parser.add_argument("--show", type=int)
+    parser.add_argument("--labs", choices=LAYOUTS, default="", help="layout of the jets")
     options = parser.parse_args()
     if options.show is not None:
-        drawn = draw(options.seed, options.show)
-        words = overrides_of(drawn, options.show, options.lasts, options.centre)
-        print(f"testbed run {name_of(options.show)} " + " ".join(f"'{word}'" for word in words))
+        name, words, _ = prepared(options.show, options)
+        print(f"testbed run {name} " + " ".join(f"'{word}'" for word in words))
         return 0
     numbers = range(options.flights)
-    flown_as = partial(fly, seed=options.seed, lasts=options.lasts, centre=options.centre)
+    flown_as = partial(fly, options=options)
     if options.jobs == 1:
         flown = list(map(flown_as, numbers))
     else:
