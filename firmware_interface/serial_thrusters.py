@@ -24,7 +24,6 @@ from testbed.core.vehicle import Gauges
 
 KEEP_US = 4_000  # longest time between two checks for due frames
 ANSWER_US = 3_000_000  # longest wait for a board's first answer
-UNKNOWN_V = 12.0  # assumed supply of a vehicle without a voltmeter
 ALL_GAUGES = Gauges()
 REPEAT_US = 30_000  # time after which a command without effect is repeated
 REASON_US = 150_000  # longest wait for a reset board's HELLO_ACK, which has the cause
@@ -307,7 +306,8 @@ class SerialThrusters:
             assert status is not None
             now = monotonic_us()
             pressure = float(status.supply_pa) if self._gauges.supply else self._set_pressure
-            battery = 1e-3 * status.supply_mv if self._gauges.battery else UNKNOWN_V
+            gauges = self._gauges
+            battery = 1e-3 * status.supply_mv if gauges.battery else gauges.battery_v
             silent = 1e-6 * (now - self._heard_us)
             return Health(1e-6 * (now - self.epoch_us), pressure, 0.0, battery, silent)
 

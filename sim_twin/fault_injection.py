@@ -257,15 +257,16 @@ class FaultInjector:
         what = self.found(name, "nan_law", "raise_law")
         return what.kind.removesuffix("_law") if what else ""
 
-    def power(self, name: str) -> tuple[float, float]:
-        """Battery voltage [V] and time since the board's last message [s]."""
+    def power(self, name: str, battery: float) -> tuple[float, float]:
+        """Battery voltage, of a true one without faults [V], and the board's silence [s]."""
         if flat := self.found(name, "flat_battery"):
             return flat.size, 0.0
         for one in self._active:
             if one.what.kind == "brown_out" and one.what.vehicle == name and one.since <= self._now:
                 # a board that has rebooted does not fly on, which looks like silence here
-                return DEAD_BATTERY if one.holds(self._now) else 12.0, self._now - one.since
-        return 12.0, 0.0
+                volts = DEAD_BATTERY if one.holds(self._now) else battery
+                return volts, self._now - one.since
+        return battery, 0.0
 
     def supply(self, name: str, pressure: float) -> float:
         """The supply pressure that the board reads, of a true one without faults [Pa]."""

@@ -59,7 +59,7 @@ class SensorPorts(NamedTuple):
     messages: Links  # of laws
     tanks: Array  # gas [kg], tank pressure, set pressure and dropout [Pa], see Air; (v, 4)
     used: Array  # gas consumed, (v,) [kg]
-    pressures: Array  # of supply and tank, written to; (v, 2) [Pa]
+    gauges: Array  # pressure of supply and tank, written to [Pa], battery [V]; (v, 3)
 
 
 @compiled
@@ -84,7 +84,7 @@ def observe(ports, times, states, shown, now):
     for k in range(it.used.shape[0]):
         gas, full, wanted, dropout = it.tanks[k]
         tank = full * max(0.0, gas - it.used[k]) / gas
-        it.pressures[k, 0], it.pressures[k, 1] = max(0.0, min(wanted, tank - dropout)), tank
+        it.gauges[k, 0], it.gauges[k, 1] = max(0.0, min(wanted, tank - dropout)), tank
     return most
 
 
@@ -156,7 +156,9 @@ class Twin:
         self._audiences: dict[tuple[str, bool], Whole] = {}
         airs = [vehicle.air for vehicle in vehicles.values()]
         self._tanks = np.array([(a.gas, a.tank_pressure, a.set_pressure, a.dropout) for a in airs])
-        self.gauges = np.empty((len(airs), 2))  # supply and tank pressure of each vehicle [Pa]
+        # of each vehicle: supply and tank pressure [Pa], battery [V]
+        self.gauges = np.empty((len(airs), 3))
+        self.gauges[:, 2] = [vehicle.gauges.battery_v for vehicle in vehicles.values()]
         self.blackboard: dict[
             str, tuple[float, LawMessage, LawMessage | None]
         ] = {}  # of laws on the host
@@ -267,11 +269,11 @@ class Twin:
 
     def health(self, name: str) -> Health:
         """Readings of the board's sensors."""
-        supply, tank = self.gauges[self.rows[name]].tolist()
+        supply, tank, battery = self.gauges[self.rows[name]].tolist()
         if self.injector is None:
-            return Health(self.now, supply, tank)
+            return Health(self.now, supply, tank, battery)
         supply = self.injector.supply(name, supply)
-        return Health(self.now, supply, tank, *self.injector.power(name))
+        return Health(self.now, supply, tank, *self.injector.power(name, battery))
 
 
 class TwinPoses:

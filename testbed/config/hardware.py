@@ -151,8 +151,11 @@ def _gauges(vehicle: Vehicle) -> Iterator[Violation]:
     if gauges.undervoltage_v > 0.0 and not gauges.battery:
         expected = "0 without a voltmeter (`battery = false`)"
         yield Violation(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g} V")
-    if gauges.undervoltage_v > HIGHEST_V:
+    if gauges.battery_v > HIGHEST_V:
         expected = f"volts, at most {HIGHEST_V:g}"
+        yield Violation(("gauges", "battery_v"), expected, f"{gauges.battery_v:g}")
+    if gauges.undervoltage_v > gauges.battery_v:
+        expected = f"volts, at most those of the battery, battery_v = {gauges.battery_v:g}"
         yield Violation(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g}")
 
 

@@ -8,10 +8,8 @@ from typing import Any
 
 from testbed.config.experiment import Experiment
 from testbed.core.law import Concern
-from testbed.core.types import Health
 from testbed.core.vehicle import Gauges
 
-TWIN_V = Health(0.0, 0.0, 0.0).battery  # what the boards of twin and bench read [V]
 LARGEST_ERROR = 0.3  # a criterion beyond this is met by a vehicle that hardly flies [m]
 CAMERAS = (  # key, largest plausible value, unit, what is usual
     ("noise", 0.02, "m", "published cameras have 0.0001 to 0.001 m; mm meant?"),
@@ -54,18 +52,19 @@ def _beyond(
 
 
 def _battery(experiment: Experiment, name: str, gauges: Gauges) -> Iterator[Concern]:
-    """A supply of 24 V flies on the table only: twin and bench have one of 12 V."""
-    arming = experiment.arming
+    """Limits for another battery than the vehicle's."""
+    least, most = experiment.arming.volts(gauges.battery_v)
     floors = [
         one.below
         for one in experiment.faults.values()
         if one.detector == "battery" and one.response != "warn" and one.below is not None
     ]
-    least = max([arming.battery, gauges.undervoltage_v, *floors])
-    if not least <= TWIN_V <= arming.battery_most:
-        supply = f"at least {least:g} V" if least > TWIN_V else f"at most {arming.battery_most:g} V"
+    least = max([least, gauges.undervoltage_v, *floors])
+    if not least <= gauges.battery_v <= most:
+        supply = f"at least {least:g} V" if least > gauges.battery_v else f"at most {most:g} V"
         yield Concern(
             "battery",
-            f"{name}: it flies with {supply} only, and the boards of twin and bench read"
-            f" {TWIN_V:g} V: there set {name}'s gauges.battery=false, gauges.undervoltage_v=0",
+            f"{name}: it flies with {supply} only, and its battery has {gauges.battery_v:g} V:"
+            " gauges.battery_v or the limits (arming.battery, gauges.undervoltage_v, the fault"
+            " table's row) are wrong",
         )

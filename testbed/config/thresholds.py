@@ -44,7 +44,7 @@ SURE = 3.0  # sigmas of a prediction
 SHORTEST_BLIND, LONGEST_BLIND = 0.5, 3.0  # no model is trusted longer [s] [assumption]
 DOUBLINGS, SETTLED = 50, 1e-13  # most iterations; relative change in the last
 RARE = 1e-8  # per message: once in 460 hours with three vehicles at 10 Hz
-USUAL_UNDERVOLTAGE = 8.0  # of 12 V valves, where the file has none [V]
+USUAL_UNDERVOLTAGE = 8.0 / 12.0  # of the battery's voltage, where the file has none
 
 OPERATORS = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -58,7 +58,9 @@ def words_of(
     """The value of each word; of several vehicles, the one that gives more time or room."""
     mocap = table.mocap
     weakest = max(1e-6, min(weakest_force(one) / one.mass for one in vehicles))
-    volts = [one.gauges.undervoltage_v or USUAL_UNDERVOLTAGE for one in vehicles]
+    volts = [
+        one.gauges.undervoltage_v or USUAL_UNDERVOLTAGE * one.gauges.battery_v for one in vehicles
+    ]
     speed = flight.barrier.max_speed
     return {
         "frame": mocap.frame_s,

@@ -79,6 +79,7 @@ class Gauges(Struct, frozen=True, forbid_unknown_fields=True):
 
     supply: bool = True  # pressure behind the regulator
     battery: bool = True  # voltage of the valves' supply
+    battery_v: Positive = 12.0  # nominal; without a sensor it is taken to be this [V]
     undervoltage_v: NonNegative = 0.0  # the board shuts all valves below this; 0: never [V]
 
 

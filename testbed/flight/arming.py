@@ -17,6 +17,9 @@ SMALLEST = 0.01  # [m] from its start, where the safety filter keeps no room
 NO_SENSOR = "if there is no such sensor, `[gauges] {} = false` in the vehicle file"
 
 
+FLAT, CHARGED = 11.0 / 12.0, 16.0 / 12.0  # limits of a battery: of 12 V, 11 and 16 V
+
+
 class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a healthy start."""
 
@@ -33,13 +36,19 @@ class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     clearance: NonNegative = 0.05  # between the rims of two vehicles [m]
     supply_share: Positive = 0.95
     supply_most: Positive = 1.1  # as of the fault `supply_high`: the jets push harder than believed
-    battery: Positive = 11.0  # [V]
-    battery_most: Positive = 16.0  # [V] a 12 V battery that is charged has 15; the coils heat
+    battery: Positive | None = None  # [V]; None: FLAT of the vehicle's `gauges.battery_v`
+    battery_most: Positive | None = None  # [V]; None: CHARGED of it; the coils heat
     round_trip_s: Positive = 0.1
     clock_offset_s: Positive = 0.01
     disk_free: Positive = 5e8  # [bytes]
     operator_age_s: Positive = 0.5
     commissioned: bool = False  # on the table: only with a record of `testbed commission`
+
+    def volts(self, nominal: float) -> tuple[float, float]:
+        """Least and most voltage of a battery of `nominal` [V] that passes."""
+        least = FLAT * nominal if self.battery is None else self.battery
+        most = CHARGED * nominal if self.battery_most is None else self.battery_most
+        return least, most
 
 
 class Readiness(Struct, frozen=True):
@@ -84,6 +93,7 @@ class Expected(Struct, frozen=True):
     name: str
     camera_rate: float  # [Hz]
     set_pressure: float  # [Pa]
+    battery_v: float  # nominal [V]
     fence: Fence
     start: tuple[float, float, float]  # x, y, theta, as the experiment gives it [m, rad]
     reach: Mapping[str, float]  # per other vehicle: distance of the centres at contact [m]
@@ -144,7 +154,7 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
         volts = f"{health.battery:.1f} V"
         if health.battery <= 0.0:
             volts = f"no voltage: connect the battery; {NO_SENSOR.format('battery')}"
-        check("battery", health.battery, volts, p.battery, p.battery_most, at_reset=False)
+        check("battery", health.battery, volts, *p.volts(expected.battery_v), at_reset=False)
         silent = f"silent for {health.silent_s:.2f} s"
         check("board", health.silent_s, silent, most=p.pose_age_s)
     check("valves", None, "the board reports an open valve", green=ready.valves_shut)

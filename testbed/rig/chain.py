@@ -119,6 +119,7 @@ def expected_of(experiment: Experiment, name: str) -> Expected:
         name,
         experiment.table.mocap.rate_hz,
         setups[name].model.air.set_pressure,
+        setups[name].model.gauges.battery_v,
         Fence(*fence_of(experiment, name)),
         setups[name].start,
         reaches({other: one.model.radius for other, one in setups.items()}, name),

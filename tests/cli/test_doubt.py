@@ -59,10 +59,12 @@ DOUBTED = {  # what is changed: what is said
         [f"{MODEL}.jets.{k}.push=[{-x},{-y}]" for k, (x, y) in enumerate(PUSHES, 1)],
         ["jets-turned"],
     ),
-    "a battery of 24 V": ([f"{MODEL}.gauges.undervoltage_v=20"], ["battery"]),
-    "arming of a battery of 24 V": (
-        ["arming.battery=22", "arming.battery_most=29", f"{MODEL}.gauges.undervoltage_v=20"],
-        ["battery"],
+    "a battery of 24 V": (
+        [f"{MODEL}.gauges.battery_v=24", f"{MODEL}.gauges.undervoltage_v=18"], [],
+    ),
+    "arming of a battery of 24 V": (["arming.battery=22", "arming.battery_most=29"], ["battery"]),
+    "an undervoltage that leaves no room": (
+        [f"{MODEL}.gauges.battery_v=24", f"{MODEL}.gauges.undervoltage_v=23"], ["battery"],
     ),
     "no voltmeter": (
         [f"{MODEL}.gauges.battery=false", f"{MODEL}.gauges.undervoltage_v=0"], [],

@@ -313,7 +313,10 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
         "vehicles.sat1.model.gauges.undervoltage_v", "0 without a voltmeter (`battery = false`)",
         "9 V",
     ),
-    "vehicles.sat1.model.gauges.undervoltage_v=9000": ("", "volts, at most 60", "9000"),
+    "vehicles.sat1.model.gauges.battery_v=24000": ("", "volts, at most 60", "24000"),
+    "vehicles.sat1.model.gauges.undervoltage_v=20": (
+        "", "volts, at most those of the battery, battery_v = 12", "20",
+    ),
     "vehicles.sat1.model.tolerance.thrust=5": ("", "a share, at most 0.5: 5 % is 0.05", "5"),
     "vehicles.sat1.model.tolerance.direction_deg=57": ("", "degrees, at most 20", "57"),
     "vehicles.sat1.model.tolerance.com=1": ("", "at most the radius, 0.2 m", "1 m"),

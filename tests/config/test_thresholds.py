@@ -89,7 +89,10 @@ def test_bounds_follow_the_cameras():
 
 def test_bounds_follow_the_vehicle():
     assert bound("battery_low") == 10.5
-    assert bound("battery_low", "vehicles.*.model.gauges.undervoltage_v=16") == 18.5
+    assert bound("battery_low", "vehicles.*.model.gauges.undervoltage_v=9") == 11.5
+    strong = "vehicles.*.model.gauges={battery_v=24,undervoltage_v=16}"
+    assert bound("battery_low", strong) == 18.5
+    assert bound("battery_low", "vehicles.*.model.gauges={battery_v=24}") == 18.5
     assert bound("leak") == 0.05
     assert bound("leak", "vehicles.*.model.jets.*.thrust=2.0") > 0.1  # four jets take 5 % a second
     assert bound("overrun", "flight.jet_period_s=0.2") == 0.1

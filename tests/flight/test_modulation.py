@@ -183,7 +183,7 @@ def test_pulses_are_centred(params, vehicle, duty):
 
 
 def impulses(on, offset, droop, period):
-    """Impulse of pulses in times of full thrust, by adding up 2000 slices of the period, (jets,)."""
+    """Impulse of pulses in times of full thrust, by adding up slices of the period, (jets,)."""
     at = period * (np.arange(2000) + 0.5)[:, None] / 2000
     flows = (offset < at) & (at < offset + on)
     share = 1.0 / (1.0 + droop * np.maximum(flows.sum(axis=1) - 1, 0))

@@ -160,7 +160,7 @@ def test_nothing_fires_that_was_not_armed_and_run_with_green_checks(sequence):
 
 
 PARAMS = ArmingParams()
-EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), (0.1, 0.0, 0.2), {"b": 0.4}, 0.03)
+EXPECTED = Expected("a", 100.0, 5e5, 12.0, Fence(2.8, 2.8), (0.1, 0.0, 0.2), {"b": 0.4}, 0.03)
 
 
 @pytest.fixture
@@ -238,6 +238,19 @@ def test_no_air_and_no_battery_are_red_and_say_what_to_do(ready):
     assert "open the air" in reasons["a supply"]
     assert "`[gauges] supply = false`" in reasons["a supply"]
     assert "`[gauges] battery = false`" in reasons["a battery"]
+
+
+def test_the_limits_of_a_battery_follow_its_nominal_voltage(ready):
+    strong = replace(EXPECTED, battery_v=24.0)
+
+    def battery(volts, params=PARAMS):
+        checks = arming_checks(replace(ready, health=Health(10.0, 5e5, 2e7, volts)), strong, params)
+        return next(one for one in checks if one.id == "battery")
+
+    assert (battery(24.0).least, battery(24.0).most) == (22.0, 32.0)
+    assert not battery(24.0).reason
+    assert battery(12.0).reason == "12.0 V"
+    assert battery(21.0, ArmingParams(battery=20.0)).reason == ""
 
 
 def test_the_heading_is_compared_round_the_circle(ready):

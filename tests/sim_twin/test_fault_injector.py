@@ -168,11 +168,11 @@ def test_a_board_without_power_shuts_its_valves_and_hears_nothing(plant, make_pl
     board.apply(make_plan(0.1, {0: (0.0, 0.1)}))
     assert last_closing(board.pulses) == pytest.approx(0.05)
     broken.look(0.1)
-    assert broken.power("0") == (7.0, pytest.approx(0.05))
+    assert broken.power("0", 12.0) == (7.0, pytest.approx(0.05))
     board.apply(make_plan(0.3, {0: (0.0, 0.1)}))  # it has its power back, and is SAFE
     assert last_closing(board.pulses) == pytest.approx(0.05)
     broken.look(0.3)
-    assert broken.power("0") == (12.0, pytest.approx(0.25))
+    assert broken.power("0", 12.0) == (12.0, pytest.approx(0.25))
 
 
 SEEN = [PoseSample(t, 0.1 * t, 0.0, 0.0) for t in (0.9, 1.0, 1.1)]
@@ -401,7 +401,7 @@ def test_what_the_board_reads(plant):
     readings = []
     for t in (0.5, 1.5, 2.5):
         broken.look(t)
-        readings.append((broken.supply("0", 5e5), broken.power("0")[0]))
+        readings.append((broken.supply("0", 5e5), broken.power("0", 12.0)[0]))
     assert readings == [(5e5, 12.0), (2.5e5, 12.0), (2.5e5, 9.0)]
 
 

@@ -13,7 +13,7 @@ from testbed.core.codes import Response
 from testbed.core.compiled import compiled
 from testbed.core.rows import SETPOINT_WIDTH, References, States
 from testbed.core.scratch import scratch
-from testbed.core.types import ALL_WELL, Health
+from testbed.core.types import ALL_WELL
 from testbed.flight.record import NO_SETPOINT
 from testbed.flight.reference_model import next_setpoint
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES, Array, Whole
@@ -21,7 +21,7 @@ from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES, Array, Whole
 LAND = Response.LAND.value
 FIRST_REFERENCE, REFERENCE_WIDTH, STATE_WIDTH = SETPOINT_WIDTH, References.width, States.width
 SENT, DECLINED, NOT_FINITE = range(3)  # see `law_tick`
-BATTERY, DISK_FREE = Health(0.0, 0.0, 0.0).battery, ALL_WELL.disk_free
+DISK_FREE = ALL_WELL.disk_free
 
 
 class Incoming(NamedTuple):
@@ -42,7 +42,7 @@ class VehiclePorts(NamedTuple):
     setpoints: Links
     incoming: Incoming  # links to it
     audience: Whole  # those on which it sends its state
-    gauges: Array  # supply and tank pressure, (2,) [Pa]
+    gauges: Array  # supply and tank pressure [Pa], battery [V]; (3,)
     row: NDArray[Any]  # the chain's record.ROW, (1,)
     others: Array  # neighbours at this tick as in `barrier.around`, (n, 7)
     fixed: NDArray[Any]  # its memory.FIXED, (1,)
@@ -80,7 +80,7 @@ def receive(ports, table, k, t, armed):
     it = ports.row[0].inputs
     it.t, it.effect_at, it.armed, it.ended = t, t + ports.lead, armed, 0
     it.supply_pressure, it.tank_pressure = ports.gauges[0], ports.gauges[1]
-    it.battery, it.silent_s = BATTERY, 0.0
+    it.battery, it.silent_s = ports.gauges[2], 0.0
     it.session_ok, it.same_config, it.foreign = 1, 1, 0.0
     it.operator_age, it.clock_offset, it.late_s, it.disk_free = 0.0, 0.0, 0.0, DISK_FREE
     it.law_failed, it.fleet_failed = 0, 0

@@ -48,7 +48,6 @@ TRUTH_FRAMES = 5  # exposures between two messages of the truth
 DIAL_NS = 1_000_000_000  # between two attempts to reach the host
 QUIET_NS = 500_000_000  # a serial line without traffic for this long is unused
 LARGEST_S = 1e6  # largest time stamp of a lease
-SUPPLY_MV = 12_000
 ERROR_M = 0.0002  # error of the marker fit that a healthy system reports
 UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
 
@@ -206,11 +205,11 @@ class TableServer:
         for k, name in enumerate(self.names):
             air = self.models[name].air
             pressure = air.supply_pressure(air.gas - float(self.plant.used[k]))
-            supply_mv = SUPPLY_MV
+            battery = self.models[name].gauges.battery_v
             pressure = self._injector.supply(name, pressure)
             if flat := self._injector.found(name, "flat_battery"):
-                supply_mv = round(1e3 * flat.size)
-            self._taps[name].sense(supply_mv, round(pressure))
+                battery = flat.size
+            self._taps[name].sense(round(1e3 * battery), round(pressure))
 
     # The cameras
 
