@@ -141,10 +141,8 @@ def _landing(landing: Landing, side: float) -> Iterator[tuple[str, str]]:
 def _late_landing(experiment: Experiment, landing: Landing) -> Iterator[tuple[str, str]]:
     """Warn if the board turns the air off too late for this table and this speed."""
     table, speed = experiment.table, experiment.flight.barrier.max_speed
-    nodes = [node for row in table.tilt.map for node in row] or [(0.0, 0.0)]
-    x, y = table.tilt.uniform
-    slope = max(math.hypot(x + ax, y + ay) for ax, ay in nodes)
-    here = replace(landing, speed=max(speed, landing.speed), slope=max(slope, landing.slope))
+    slope = max(table.tilt.steepest, landing.slope)
+    here = replace(landing, speed=max(speed, landing.speed), slope=slope)
     planned, needed = landing_delay(landing), landing_delay(here)
     if planned > needed + SOONER:
         yield (

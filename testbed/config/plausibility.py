@@ -22,13 +22,12 @@ from testbed.core.se2 import wrap
 from testbed.core.table import Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
-from testbed.flight.jet_faults import slopes
 from testbed.metrics.formation import has_formation
 
 BLIND = (PdParams, LqrParams)  # laws that ignore obstacles
 UNEQUAL = 0.8  # smallest plausible ratio of force between opposite directions
 FAST = 1.0  # largest plausible acceleration [m/s^2]
-STEEP = 0.4  # largest plausible share of the jets' acceleration for the slope
+STEEP = 0.5  # largest plausible share of the jets' acceleration for the steepest slope
 LEAST_GYRATION, MOST_GYRATION = 0.1, 3.0  # plausible shares of the radius
 MOST_DROOP = 0.2  # U. Kentucky's stand has 0.03, SPOT RED's logs say 0.36 to 0.67
 SLOW = 0.003  # smallest plausible acceleration [m/s^2]
@@ -98,13 +97,15 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
                 f"{len(vehicle.jets)} jets, {can[weak]:.3g} {unit} {weak} but"
                 f" {can[strong]:.3g} {unit} {strong}: is a jet {weak} missing?",
             )
-    slope, _ = slopes(tilt)
+    slope = tilt.steepest
     if slope > STEEP * accel:
-        found = f"the table's slope takes {slope:.2g} of the {accel:.2g} m/s^2 of the jets"
+        where = ", at the steepest place of its map," if tilt.map else ""
+        found = f"the table's slope{where} takes {slope:.2g} of the {accel:.2g} m/s^2 of the jets"
         left = "little is left to steer with"
         if slope >= accel:
             found = (
-                f"the table's slope of {slope:.2g} m/s^2 is more than the jets give, {accel:.2g}"
+                f"the table's slope{where} of {slope:.2g} m/s^2 is more than the jets give,"
+                f" {accel:.2g}"
             )
             left = "the vehicle slides off"
         yield "slope", f"{found}: {left}"

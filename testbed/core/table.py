@@ -1,5 +1,6 @@
 """The table: granite, obstacles, motion capture and wireless link."""
 
+import math
 from typing import Annotated
 
 from msgspec import Meta, Struct, field
@@ -19,6 +20,13 @@ class Tilt(Struct, frozen=True, forbid_unknown_fields=True):
 
     uniform: Point  # [m/s^2]
     map: list[list[Point]] = []  # [m/s^2]
+
+    @property
+    def steepest(self) -> float:
+        """Largest acceleration at any node [m/s^2]."""
+        x, y = self.uniform
+        nodes = [node for row in self.map for node in row] or [(0.0, 0.0)]
+        return max(math.hypot(x + ax, y + ay) for ax, ay in nodes)
 
 
 class Patch(Struct, frozen=True, forbid_unknown_fields=True):

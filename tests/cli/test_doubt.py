@@ -112,6 +112,16 @@ def test_a_slope_that_the_jets_cannot_hold_is_called_that():
         assert said in one.text
 
 
+def test_the_steepest_place_of_a_map_counts():
+    level = "[[0,0],[0,0],[0,0]]"
+    steep = [
+        f"table.tilt.map=[{level},[[0,0],[0.06,0],[-0.06,0]],{level}]",
+        "table.tilt.uniform=[0,0]",
+    ]
+    (one,) = doubts_of(load(find("hold"), steep))
+    assert "at the steepest place of its map, takes 0.06 of the 0.096" in one.text
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
