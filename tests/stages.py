@@ -212,7 +212,7 @@ class JetFaultDetector:
 
     @property
     def open(self):
-        return self._if(bad_jet.leaks, self.m.leak)
+        return self._if(bad_jet.leaks, self.m.leak, self.p.least)
 
     @property
     def weak(self):
@@ -226,10 +226,11 @@ class JetFaultDetector:
     @property
     def either(self):
         doubt = bad_jet.leaks_or_is_weak
-        return self._if(doubt, self.m.leak), self._if(doubt, self.m.weak)
+        least = self.p.least
+        return self._if(doubt, self.m.leak, least), self._if(doubt, self.m.weak, least)
 
-    def _if(self, sure, one):
-        if not sure(self.m):
+    def _if(self, sure, one, *least):
+        if not sure(self.m, *least):
             return Suspicion(0, 0.0, 0.0, 0.0)
         return Suspicion(
             int(one.jet), float(one.share), float(one.gain), float(bad_jet.sigmas(one))

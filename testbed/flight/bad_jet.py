@@ -33,11 +33,16 @@ def apart(gain, other):
 
 
 @compiled
-def leaks(m):
-    """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
+def leaks(m, least):
+    """Whether the suspected jet pushes without a command, and nothing else explains the motion.
+
+    Args:
+        m: a jet_faults.MEMORY.
+        least: smallest size of each kind of cause, see hypotheses.least_of.
+    """
     other = beyond(m.gains, LEAK)
     sure = m.leak.gain > other + apart(m.leak.gain, other) and m.leak.gain > SURE
-    return sure and m.leak.share > trace(m) and outlasts(m.gains, LEAK)
+    return sure and m.leak.share > max(trace(m), least[LEAK]) and outlasts(m.gains, LEAK)
 
 
 @compiled
@@ -95,8 +100,8 @@ def is_weak(m):
 
 
 @compiled
-def decide_by(m):
-    """Write to `m`, a jet_faults.MEMORY, which windows are sure of a bad jet.
+def decide_by(m, least):
+    """Write to `m` which windows are sure of a bad jet; the arguments are those of `leaks`.
 
     The innovations see a leak of the opposite jet first. Beside it, no jet is weak.
     """
@@ -104,7 +109,7 @@ def decide_by(m):
     if leaks_by_innovations(m):
         m.leak_by = INNOVATIONS
         return
-    if leaks(m):
+    if leaks(m, least):
         m.leak_by = NEAR
     if is_weak(m) and m.weak.gain > SURE:
         m.weak_by = NEAR
@@ -156,8 +161,10 @@ def weakness_is_clear(m):
 
 
 @compiled
-def leaks_or_is_weak(m):
+def leaks_or_is_weak(m, least):
     """Whether one jet may leak; if it does not, the next best cause is the right one.
+
+    The arguments are those of `leaks`.
 
     No jet is in doubt while the long window is sure of a pull: once the short window has forgotten
     when the pull began, a leak explains it nearly as well.
@@ -168,7 +175,7 @@ def leaks_or_is_weak(m):
     may = (
         m.pulled == 0.0
         and m.leak.gain > other - apart(m.leak.gain, other)
-        and m.leak.share > trace(m)
+        and m.leak.share > max(trace(m), least[LEAK])
     )
     return may and outlasts(m.gains, LEAK)
 

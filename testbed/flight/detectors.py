@@ -132,10 +132,10 @@ def measure(p, m, seen, known, suspected, always, row, samples, neighbours, fini
     for k in range(neighbours.shape[0]):
         if inputs.t - neighbours[k, 5] > oldest:
             oldest, outputs.oldest = inputs.t - neighbours[k, 5], k
-    bad_jet.decide_by(suspected)
+    bad_jet.decide_by(suspected, known.least)
     leaks, leak = suspected.leak_by != bad_jet.NOTHING, bad_jet.leak_of(suspected)
     weak = suspected.weak_by != bad_jet.NOTHING
-    either = bad_jet.leaks_or_is_weak(suspected)
+    either = bad_jet.leaks_or_is_weak(suspected, known.least)
     outputs.leak = bad_jet.sigmas(suspected.leak) if either else 0.0
     repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
     numbers = (  # in the order of codes.Detector, up to FLEET

@@ -41,6 +41,7 @@ PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle 
 # smallest sizes that are faults
 LEAST_PULL = 2e-3  # [m/s^2]; a table that is not level changes by less from place to place
 STEEPER = 4.0  # bumps of the table file: less than this is the table
+HIDES = 0.25  # of these bumps: the short window cannot tell a leak that pushes less from the table
 LEAST_DRAG = 0.4  # [N s/m]
 PATCHY = 10.0  # on a table with patches of friction [N s/m]
 LEAST_SCALE = 0.25  # of thrust or mass; the safety filter allows for 10 %
@@ -153,6 +154,7 @@ def least_of(vehicle: Vehicle, table: Table, bumps: float) -> Array:
     """Smallest size of each kind that is a fault."""
     least = np.zeros(KINDS)
     least[PULL] = max(LEAST_PULL, STEEPER * bumps)
+    least[LEAK] = HIDES * bumps * vehicle.mass / min(jet.thrust for jet in vehicle.jets)
     least[DRAG] = PATCHY if table.friction else LEAST_DRAG
     scale = max(LEAST_SCALE, 3.0 * table.spread.thrust, 2.0 * vehicle.tolerance.thrust)
     least[THRUST] = least[MASS] = scale

@@ -13,7 +13,7 @@ from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight import bad_jet, hypotheses, jet_faults
 from testbed.flight.bad_jet import LEAK_LOOKS, LIKELY_LOOKS, SURE_LOOKS
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import LATE, LEAK, NUDGE, PULL, WEAK
+from testbed.flight.hypotheses import KINDS, LATE, LEAK, NUDGE, PULL, WEAK
 from testbed.flight.jet_faults import BUMPS, SLOPE, slopes
 from testbed.flight.response import response
 
@@ -178,7 +178,7 @@ def test_the_innovations_name_a_leak_that_is_large_and_clear(changes, named, veh
     evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
     evidence.m.weak.gain, evidence.m.weak.share = 100.0, 1.0
     evidence.m.gains[WEAK] = 100.0
-    bad_jet.decide_by(evidence.m)
+    bad_jet.decide_by(evidence.m, evidence.p.least)
     # the opposite jet is not to blame, if the leak is sure
     expected = (bad_jet.INNOVATIONS, bad_jet.NOTHING) if named else (bad_jet.NOTHING, bad_jet.NEAR)
     assert (evidence.m.leak_by, evidence.m.weak_by) == expected
@@ -286,9 +286,22 @@ def test_a_jet_is_not_doubted_while_the_long_window_is_sure_of_a_pull():
     """The short window forgets when a hose began, and then a leak explains it nearly as well."""
     m = np.zeros(1, jet_faults.MEMORY).view(np.recarray)[0]
     m.leak.gain, m.leak.share, m.gains[LEAK], m.gains[PULL] = 12.4, 0.1, 12.4, 15.8
-    assert bad_jet.leaks_or_is_weak(m)
+    assert bad_jet.leaks_or_is_weak(m, np.zeros(KINDS))
     m.pulled = 0.02
-    assert not bad_jet.leaks_or_is_weak(m)
+    assert not bad_jet.leaks_or_is_weak(m, np.zeros(KINDS))
+
+
+def test_a_leak_that_pushes_less_than_the_bumps_of_a_table_is_not_named(vehicle, table):
+    rough = replace(table, tilt=Tilt((0.0, 0.0), [[(0.03, 0.0), (-0.03, 0.0)]] * 2))
+    m = np.zeros(1, jet_faults.MEMORY).view(np.recarray)[0]
+    m.leak.gain = m.gains[LEAK] = 40.0
+    hidden = hypotheses.HIDES * 0.03 * vehicle.mass / vehicle.jets[0].thrust
+    assert 0.1 < hidden < 0.2
+    for share, level, uneven in ((0.1, True, False), (1.05 * hidden, True, True)):
+        m.leak.share = share
+        for one, named in ((table, level), (rough, uneven)):
+            least = hypotheses.least_of(vehicle, one, jet_faults.slopes(one.tilt)[1])
+            assert bad_jet.leaks(m, least) == bad_jet.leaks_or_is_weak(m, least) == named
 
 
 @pytest.mark.parametrize(("share", "much"), [(0.3, "30%"), (0.996, "100%"), (1.2, "all")])

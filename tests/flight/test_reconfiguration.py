@@ -19,7 +19,7 @@ from testbed.flight import allocation, bad_jet, modulation
 from testbed.flight.allocation import AllocatorParams, weakest_force
 from testbed.flight.bad_jet import INNOVATIONS, NEAR
 from testbed.flight.fault_monitor import rows_of
-from testbed.flight.hypotheses import LEAK
+from testbed.flight.hypotheses import KINDS, LEAK
 from testbed.flight.modulation import SigmaDeltaParams
 from testbed.flight.reconfiguration import (
     LEAST,
@@ -164,8 +164,8 @@ def test_a_small_leak_beside_a_jet_that_is_stuck_open_may_be_its_own_error(
     suspected = agent_of(vehicle, table, shipped_faults()).memory.fixed[0].jet_faults
     suspected.leak.gain = suspected.gains[LEAK] = 40.0
     suspected.leak.share, suspected.flies_open = share, flies_open
-    assert bad_jet.leaks(suspected) == named
-    assert bad_jet.leaks_or_is_weak(suspected) == named
+    assert bad_jet.leaks(suspected, np.zeros(KINDS)) == named
+    assert bad_jet.leaks_or_is_weak(suspected, np.zeros(KINDS)) == named
 
 
 def test_the_row_of_a_valve_stuck_open_says_whether_a_leak_is_flown_around():
