@@ -73,7 +73,9 @@ class VehicleMetrics(Struct, frozen=True):
     final_error_m: float | None
     settle_s: float | None  # time after which the position stays within 0.05 m of the goal
     track_rms_m: float | None  # true position against the reference; null in wrench mode
-    hold_rms_m: float | None  # true position against the goal in the last 30 s
+    hold_rms_m: (
+        float | None
+    )  # true position against the goal in the last 30 s; null if it was not completed
     heading_rms_deg: float | None  # true heading against the commanded one
     min_obstacle_distance_m: float | None  # centre to centre, nearest obstacle
     impulse_ns: float | None  # of all jets together
@@ -297,7 +299,7 @@ def vehicle_metrics(
     aimed: Aim,
     spent: Consumption,
     distances: Mapping[str, float],
-    flown_s: float,
+    completed_s: float,
 ) -> VehicleMetrics:
     """Judge one vehicle's flight.
 
@@ -308,7 +310,8 @@ def vehicle_metrics(
         aimed: its commands.
         spent: its consumption.
         distances: those of `obstacle_distances` [m].
-        flown_s: duration of the flight; the last state is up to one frame before its end [s].
+        completed_s: duration of the flight, if it reached its end, else 0: what was flown until
+            then is not the hold. The last state is up to one frame before the end [s].
     """
     error = np.hypot(*(track.states[:, vehicle, :2] - np.array(goal[:2])).T)
     end = track.t[-1] if len(track.t) else 0.0
@@ -318,12 +321,12 @@ def vehicle_metrics(
     off = np.sum((flown[:, :2] - asked[:, :2]) ** 2, axis=1)
     turn = np.array([wrap(angle) for angle in (flown[:, 2] - asked[:, 2]).tolist()])
     heading = _rms(turn**2)
-    hold = error[track.t > end - HOLD_S] if flown_s >= HOLD_S - ROUNDING_S else error[:0]
+    held = completed_s >= HOLD_S - ROUNDING_S
     return VehicleMetrics(
         final_error_m=float(error[-1]) if len(error) else None,
         settle_s=settle_time(track.t, error) if len(error) else None,
         track_rms_m=_rms(off[~np.isnan(off)]),
-        hold_rms_m=_rms(hold**2),
+        hold_rms_m=_rms(error[track.t > end - HOLD_S] ** 2) if held else None,
         heading_rms_deg=None if heading is None else math.degrees(heading),
         min_obstacle_distance_m=min(distances.values()) if distances and len(track.t) else None,
         impulse_ns=spent.impulse,

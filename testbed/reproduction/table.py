@@ -46,7 +46,8 @@ def fly_seed(run: TableRun, seed: int) -> tuple[dict[str, float | None], list[Fi
     judged = [
         vehicle_metrics(
             track, k, setup.goal, judge.aims[name].aim(), rig.spent(name),
-            obstacle_distances(track, k, experiment.obstacles), ending.t,
+            obstacle_distances(track, k, experiment.obstacles),
+            ending.t if ending.fault is None else 0.0,
         )
         for k, (name, setup) in enumerate(experiment.vehicles.items())
     ]  # fmt: skip

@@ -51,7 +51,7 @@ def measure(
             references[name].aim(),
             rig.spent(name),
             distances,
-            ending.t,
+            ending.t if completed else 0.0,
         )
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     # ended by an operator, or never started: not judged

@@ -64,19 +64,17 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         fault_report=FaultReport(FaultId.PROCESS_ENDED, why),
         criteria=None,
         vehicles={
-            name: _vehicle(track, k, experiment, name, aims[name].aim(), history.end)
+            name: _vehicle(track, k, experiment, name, aims[name].aim())
             for k, name in enumerate(experiment.vehicles)
         },
         formation=formation_metrics(experiment.controller, formation_context(experiment), track),
     )
 
 
-def _vehicle(
-    track: Track, k: int, experiment: Experiment, name: str, aimed: Aim, flown_s: float
-) -> VehicleMetrics:
+def _vehicle(track: Track, k: int, experiment: Experiment, name: str, aimed: Aim) -> VehicleMetrics:
     goal, unknown = experiment.vehicles[name].goal, Consumption(0.0, 0.0, None)
     distances = obstacle_distances(track, k, experiment.obstacles)
-    found = vehicle_metrics(track, k, goal, aimed, unknown, distances, flown_s)
+    found = vehicle_metrics(track, k, goal, aimed, unknown, distances, 0.0)
     return replace(found, impulse_ns=None, gas_g=None)
 
 

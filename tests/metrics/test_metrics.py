@@ -61,12 +61,12 @@ def still(t, *places) -> Track:
 
 
 def judged(
-    track: Track, aimed: Aim = NO_AIM, goal=GOAL, obstacles=None, flown_s: float | None = None
+    track: Track, aimed: Aim = NO_AIM, goal=GOAL, obstacles=None, completed_s: float | None = None
 ) -> VehicleMetrics:
     distances = obstacle_distances(track, 0, obstacles or {})
-    if flown_s is None:
-        flown_s = track.t[-1] if len(track.t) else 0.0
-    return vehicle_metrics(track, 0, goal, aimed, NOTHING_SPENT, distances, flown_s)
+    if completed_s is None:
+        completed_s = track.t[-1] if len(track.t) else 0.0
+    return vehicle_metrics(track, 0, goal, aimed, NOTHING_SPENT, distances, completed_s)
 
 
 def aimed_at(t, x=0.0, y=0.0, theta=0.0, force=0.0) -> Aim:
@@ -182,8 +182,9 @@ def test_a_short_run_has_not_held():
 
 def test_a_run_of_thirty_seconds_has_held_though_its_last_frame_is_before_its_end():
     track = still(np.arange(0.0, HOLD_S - 0.005, 0.01), (0.003, 0.004))
-    assert judged(track, flown_s=sum([0.1] * 300)).hold_rms_m == pytest.approx(0.005)
-    assert judged(track, flown_s=HOLD_S - 0.01).hold_rms_m is None
+    assert judged(track, completed_s=sum([0.1] * 300)).hold_rms_m == pytest.approx(0.005)
+    assert judged(track, completed_s=HOLD_S - 0.01).hold_rms_m is None
+    assert judged(track, completed_s=0.0).hold_rms_m is None  # a fault ended it
 
 
 def test_holding_is_about_the_place_not_the_heading():
