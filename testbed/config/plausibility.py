@@ -29,6 +29,7 @@ UNEQUAL = 0.8  # smallest plausible ratio of force between opposite directions
 FAST = 1.0  # largest plausible acceleration [m/s^2]
 STEEP = 0.5  # largest plausible share of the jets' acceleration for the steepest slope
 LEAST_GYRATION, MOST_GYRATION = 0.1, 3.0  # plausible shares of the radius
+OFF_BALANCE = 0.4  # largest plausible distance of the centre of mass, in radii
 MOST_DROOP = 0.2  # U. Kentucky's stand has 0.03, SPOT RED's logs say 0.36 to 0.67
 SLOW = 0.003  # smallest plausible acceleration [m/s^2]
 
@@ -79,6 +80,14 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
             "inertia",
             f"its radius of gyration is {gyration:.2g} of its radius, {vehicle.radius:g} m: a disc"
             " has 0.71; inertia in kg m^2?",
+        )
+    aside = math.hypot(*vehicle.com)
+    if aside > OFF_BALANCE * vehicle.radius:
+        yield (
+            "com",
+            f"its centre of mass is {aside:g} m from its origin, of a radius of"
+            f" {vehicle.radius:g} m: published vehicles have up to 0.01 m; `com` is relative to"
+            " the origin of the jets' positions",
         )
     if air.droop > MOST_DROOP:
         yield (

@@ -55,6 +55,17 @@ DOUBTED = {  # what is changed: what is said
         ["criteria.hold_rms_m=1", "criteria.track_rms_m=1.5", "criteria.final_error_m=50"],
         ["criterion"] * 3,
     ),
+    "angles in rad": (
+        ["table.mocap.noise_deg=0.0005", f"{MODEL}.tolerance.direction_deg=0.017"],
+        ["cameras", "tolerance"],
+    ),
+    "no angle noise, no tolerance": (
+        ["table.mocap.noise_deg=0", f"{MODEL}.tolerance.direction_deg=0"], [],
+    ),
+    "a tolerance in kg": ([f"{MODEL}.tolerance.mass=0.2"], ["tolerance"]),
+    "slow cameras": (["table.mocap.rate_hz=5"], ["cameras"]),
+    "a period in Hz": (["flight.jet_period_s=1"], ["period"]),
+    "a centre of mass in another frame": ([f"{MODEL}.com=[0.12,0.05]"], ["com"]),
     "plumes for pushes": (
         [f"{MODEL}.jets.{k}.push=[{-x},{-y}]" for k, (x, y) in enumerate(PUSHES, 1)],
         ["jets-turned"],
