@@ -174,7 +174,7 @@ class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
     state: State | None  # None before the first pose
     active_setpoint: Reference | Demand | None  # input of the tracker
     commanded_wrench: Wrench  # demanded by tracker or law, mean over the period
-    realised_wrench: Wrench  # mean wrench of the pulses of `command`, by the vehicle's jet table
+    realised_wrench: Wrench  # mean wrench of the jets, with droop and bad jets
     command: ValveCommand
     inhibit_reason: Refusal | None = None  # why valves stay shut; None: they may open
     fault: FaultReport | None = None  # ends the run, latched

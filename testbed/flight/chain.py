@@ -184,10 +184,7 @@ def refuse(p, m, row, shut):
 
 @pasted
 def plan(p, memory, row, wrench, thrust_scale):
-    """The plan for a wrench, or a plan with every valve shut.
-
-    Its mean wrench includes the low supply pressure, which all jets share, but not the droop.
-    """
+    """The plan for a wrench, or a plan with every valve shut."""
     m, inputs, outputs, period = memory.fixed[0], row.inputs, row.outputs, p.gains.period
     if outputs.inhibit != 0:
         wrench = (0.0, 0.0, 0.0)
@@ -201,11 +198,9 @@ def plan(p, memory, row, wrench, thrust_scale):
         tau -= share * fired.leaks[j] * effect[2, j]
     duty = allocate(p.jets, (fx, fy, tau), share * adds)
     on, offset = pulses(p.planner.modulator, memory.carried, duty, adds)
-    fx, fy, tau = in_microseconds(p.planner, on, offset, p.jets.effect, memory.times)
-    fx, fy, tau = fx * thrust_scale, fy * thrust_scale, tau * thrust_scale
+    in_microseconds(p.planner, on, offset, memory.times)
     if outputs.inhibit != 0:
-        memory.times[:] = fx = fy = tau = 0.0
-    outputs.realised.fx, outputs.realised.fy, outputs.realised.tau = fx, fy, tau
+        memory.times[:] = 0.0
     m.seq += 1
     m.thrust_scale, outputs.seq = thrust_scale, m.seq
     starts, ends = inputs.t + p.command_delay, inputs.t + period + p.command_delay
@@ -214,6 +209,13 @@ def plan(p, memory, row, wrench, thrust_scale):
         memory.times, memory.begun, memory.after, p.model, fired.gives, fired.leaks, period,
         memory.flowed,
     )  # fmt: skip
+    fx = fy = tau = 0.0
+    for j in range(adds.shape[0] if outputs.inhibit == 0 else 0):
+        given = thrust_scale * memory.flowed[1, j]
+        fx += effect[0, j] * given
+        fy += effect[1, j] * given
+        tau += effect[2, j] * given
+    outputs.realised.fx, outputs.realised.fy, outputs.realised.tau = fx, fy, tau
     m.gas_used = online.gas_used(
         p.online, m.gas_used, inputs.tank_pressure, memory.flowed[1], thrust_scale, period
     )

@@ -40,22 +40,17 @@ def planner_of(params: ModulatorParams, vehicle: Vehicle, period: float) -> Plan
 
 
 @compiled
-def in_microseconds(p, on, offset, effect, times):
+def in_microseconds(p, on, offset, times):
     """Write command times in whole microseconds for the wanted times of flow.
 
     Args:
         p: Planner.
         on: shape (jets,) [s].
         offset: shape (jets,) [s].
-        effect: B, shape (3, jets), see jets.py.
         times: on, then offsets, of the plan before; overwritten, shape (2 jets,) [us].
-
-    Returns:
-        the mean wrench fx, fy, tau of these times.
     """
     jets, period = on.shape[0], p.modulator.period
     whole = np.rint(1e6 * period)
-    fx = fy = tau = 0.0
     for j in range(jets):
         command = on[j]
         lasted = times[j] > 0.0 and times[j] + times[jets + j] >= whole
@@ -74,8 +69,3 @@ def in_microseconds(p, on, offset, effect, times):
                 end = period if lasts else min(max(end, begin), period)
                 times[jets + j] = np.rint(1e6 * begin)
                 times[j] = np.rint(1e6 * end) - times[jets + j]
-        duty = 1e-6 * times[j] / period
-        fx += effect[0, j] * duty
-        fy += effect[1, j] * duty
-        tau += effect[2, j] * duty
-    return fx, fy, tau

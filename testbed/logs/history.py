@@ -52,7 +52,7 @@ class VehicleHistory(Struct, frozen=True):
     reference: Array  # (n, 3) [m, m, rad]
     force_asked: Array  # (n, 2) force in W commanded by a law in wrench mode [N]
     commanded_wrench: Array  # (n, 3) mean over the period, in B [N, N, N m]
-    realised_wrench: Array  # (n, 3) mean wrench of the pulses by the jet table [N, N, N m]
+    realised_wrench: Array  # (n, 3) mean wrench of the jets [N, N, N m]
     on: Array  # (n, jets) open time [s]
     offset: Array  # (n, jets) from the plan's start to the opening [s]
     supply: Array  # (n,) [Pa]

@@ -378,7 +378,7 @@ def test_the_board_plays_every_plan_of_pwpf(vehicle, duty, period, opens, closes
     wanted, planned, played = 0.0, 0.0, {}
     for k in range(400):
         on, offset = fired_pulses(planner.modulator, carried, np.full(JETS, duty), np.ones(JETS))
-        in_microseconds(planner, on, offset, np.zeros((3, JETS)), times)
+        in_microseconds(planner, on, offset, times)
         whole = times.astype(int).tolist()
         t = k * period
         board.apply(ValveCommand(k + 1, t, t + period, tuple(whole[:JETS]), tuple(whole[JETS:])))

@@ -136,7 +136,7 @@ TICK_OUTPUTS = message("TickOutputs", "Outputs of a tick, without its sequences.
     Reference reference  # input of the tracker, if active is REFERENCE
     Demand demand  # the same, if active is DEMAND
     Wrench commanded_wrench  # demanded by tracker or law, mean over the period
-    Wrench realised_wrench  # mean wrench of the pulses, by the vehicle's jet table
+    Wrench realised_wrench  # mean wrench of the jets, with droop and as bad jets give it
     Intervention filtered
     float64 issued_at  # of the plan [s]
     float64 valid_until  # every valve is closed afterwards [s]
