@@ -36,7 +36,8 @@ class Bar(CampaignObserver):
         self._name = name
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(complete_style=CALM), MofNCompleteColumn(),
-            TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+            TaskProgressColumn(), TextColumn("after"), TimeElapsedColumn(),
+            TextColumn("left"), TimeRemainingColumn(),
             console=errors, transient=True, disable=not errors.is_terminal,
         )  # fmt: skip
         self._words = "getting ready (compiles on the first run)"

@@ -1,8 +1,10 @@
 """How far a campaign is, where there is no terminal, and where there are no workers."""
 
+import re
 from threading import Event
 
 import pytest
+from rich.console import Console
 
 from testbed.campaign.row import FlownRun
 from testbed.cli import progress
@@ -34,6 +36,14 @@ def test_a_line_says_how_far_it_is_how_fast_and_how_long_still(monkeypatch):
         assert bar.line(110.0, no_workers=False) == (  # 20 more than the first in 10 s
             "margins 23 of 1000 runs, passed 95.7 %, 2 per second, 0:08:08 left"
         )
+
+
+def test_the_bar_tells_the_time_gone_from_the_time_left():
+    console = Console(width=160)
+    with Bar("margins") as bar, console.capture() as shown:
+        bar.begun(120, [FlownRun(k, "passed") for k in range(30)])
+        console.print(bar._progress.get_renderable())
+    assert re.search(r"30/120 +25% after 0:00:0\d left -:--:--", shown.get())
 
 
 def test_it_is_said_by_itself_without_a_terminal(heard):
