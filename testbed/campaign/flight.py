@@ -31,6 +31,7 @@ from testbed.config import ConfigError, read_toml
 from testbed.files import named, write_atomic
 from testbed.run.code_digest import code_digest, digest_of
 
+JOURNAL = "journal.jsonl"
 UNLIKE = "unlike.txt"  # in a run's folder: columns that differed in the second flight
 MOST_WARMED = 20  # combinations compiled in advance; workers compile the others
 
@@ -87,10 +88,10 @@ def head_of(campaign: Campaign) -> Head:
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a campaign or a tuning; it may exist.
+    """Make the folder of a campaign or a tuning; it may exist and hold an unfinished one.
 
     Raises:
-        JournalError: it cannot be made.
+        JournalError: it cannot be made, or holds something else.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -101,13 +102,19 @@ def make_folder(folder: Path) -> None:
             expected="a writable folder; choose another with --out",
             found=str(found),
         ) from None
+    if any(folder.iterdir()) and not (folder / JOURNAL).exists():
+        raise JournalError(
+            where=str(folder),
+            expected=f"a new or empty folder, or an unfinished one with its {JOURNAL}",
+            found="other files in it",
+        )
 
 
 def open_journal(campaign: Campaign, folder: Path) -> Journal[FlownRun]:
     """The journal in the campaign's folder."""
     make_folder(folder)
     words = partial(what_changed, campaign, folder)
-    return Journal(folder / "journal.jsonl", head_of(campaign), FlownRun, words)
+    return Journal(folder / JOURNAL, head_of(campaign), FlownRun, words)
 
 
 def what_changed(campaign: Campaign, folder: Path) -> str:

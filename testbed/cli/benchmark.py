@@ -21,7 +21,7 @@ from testbed.campaign.benchmark import (
     scores,
 )
 from testbed.campaign.engine import workers
-from testbed.campaign.flight import RunFunctions, fly_campaign
+from testbed.campaign.flight import JOURNAL, RunFunctions, fly_campaign
 from testbed.campaign.folders import score_folders
 from testbed.campaign.page import COLUMNS, cells_of, page
 from testbed.campaign.sweep import experiment_path
@@ -128,9 +128,9 @@ def fly_benchmark(
 def not_the_twins(folder: Path, file: BenchmarkFile) -> None:
     """Refuse to write a lab's scores over the twin's."""
     for name in file.scenarios:
-        if (folder / name / "journal.jsonl").exists():
+        if (folder / name / JOURNAL).exists():
             expected = "--out with another folder: this one holds the twin's benchmark"
-            raise ConfigError(str(folder), "", expected, f"{name}/journal.jsonl")
+            raise ConfigError(str(folder), "", expected, f"{name}/{JOURNAL}")
 
 
 def print_commands(path: Path, file: BenchmarkFile, runs: Path) -> None:

@@ -17,7 +17,7 @@ from rich.table import Table as Grid
 
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import WorkerPool, workers
-from testbed.campaign.flight import gone, make_folder
+from testbed.campaign.flight import JOURNAL, gone, make_folder
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import FlownRun, Task
 from testbed.campaign.trial import fly_batch, read, warm
@@ -96,7 +96,7 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
     )  # fmt: skip
     progress = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
     optimiser = OptunaOptimiser(tuning)
-    with Journal(folder / "journal.jsonl", head, Trial) as journal, progress:
+    with Journal(folder / JOURNAL, head, Trial) as journal, progress:
         write_atomic(folder / "base.toml", tuning.base.encode())
         bar = progress.add_task("getting ready", total=tuning.file.trials)
         progress.update(bar, completed=len(journal.found))

@@ -426,15 +426,35 @@ def test_more_workers_than_the_memory_holds_are_refused_before_any_starts(testbe
     assert "found     100000" in str(error.value)
 
 
+TUNING = """name = "t"
+experiment = "hold"
+cost = { gas_g = 1.0 }
+[[gain]]
+key = "controller.damping"
+low = 0.5
+high = 1.0
+"""
+
+
 @pytest.mark.parametrize("verb", ["campaign", "tune"])
 def test_a_file_where_the_folder_should_be(testbed, here, verb):
     if verb == "tune":
-        (here / "try.toml").write_text(
-            'name = "t"\nexperiment = "hold"\ncost = { gas_g = 1.0 }\n'
-            '[[gain]]\nkey = "controller.damping"\nlow = 0.5\nhigh = 1.0\n'
-        )
+        (here / "try.toml").write_text(TUNING)
     (here / "taken").write_text("mine")
     result = testbed(verb, "try.toml", "--out", "taken")
     assert result.exit_code == 2
     assert "expected  a writable folder" in result.stderr
     assert (here / "taken").read_text() == "mine"
+
+
+@pytest.mark.parametrize("verb", ["campaign", "tune"])
+def test_a_folder_of_something_else_is_left_alone(testbed, here, verb):
+    other = here / "mine"
+    other.mkdir()
+    (other / "base.toml").write_text("mine")
+    if verb == "tune":
+        (here / "try.toml").write_text(TUNING)
+    result = testbed(verb, "try.toml", "--out", "mine")
+    assert result.exit_code == 2
+    assert "expected  a new or empty folder" in result.stderr
+    assert [one.name for one in other.iterdir()] == ["base.toml"]
