@@ -57,8 +57,13 @@ def most_workers() -> int:
 
 
 @contextmanager
-def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
-    """A Dask client with `jobs` processes on this machine, or of the cluster at `scheduler`.
+def workers(jobs: int, scheduler: str | None, tasks: int | None = None) -> Iterator[Any]:
+    """A Dask client with workers on this machine, or of the cluster at `scheduler`.
+
+    Args:
+        jobs: processes on this machine.
+        scheduler: address of a cluster; None: this machine.
+        tasks: more workers than these are not started; None: their number is not known.
 
     Raises:
         EngineError: the cluster does not answer, or has other code.
@@ -83,7 +88,7 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     }
     with dask.config.set(settings), _quiet():
         if scheduler is None:
-            with _own_workers(jobs) as client:
+            with _own_workers(jobs if tasks is None else min(jobs, tasks)) as client:
                 yield client
         else:
             with _connected(scheduler) as client:

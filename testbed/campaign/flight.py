@@ -53,7 +53,7 @@ class RunFunctions(Struct, frozen=True):
         if self.client is not None:
             yield self.client
             return
-        with workers(min(self.jobs, tasks), self.scheduler) as client:
+        with workers(self.jobs, self.scheduler, tasks) as client:
             yield client
 
 

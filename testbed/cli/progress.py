@@ -25,6 +25,7 @@ from testbed.cli.live import CALM
 from testbed.cli.refusal import errors
 from testbed.cli.tracked import LINE_S
 
+BAR = 12  # columns: with times and counts a line fits a terminal of 80
 LOOK_S = 5.0  # interval of counting workers, at a terminal [s]
 NO_WORKERS = "no workers yet; waiting"
 
@@ -35,7 +36,8 @@ class Bar(CampaignObserver):
     def __init__(self, name: str = "", line_s: float = LINE_S) -> None:
         self._name = name
         self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(complete_style=CALM), MofNCompleteColumn(),
+            TextColumn("{task.description}"), BarColumn(BAR, complete_style=CALM),
+            MofNCompleteColumn(),
             TaskProgressColumn(), TextColumn("after"), TimeElapsedColumn(),
             TextColumn("left"), TimeRemainingColumn(),
             console=errors, transient=True, disable=not errors.is_terminal,
@@ -50,7 +52,7 @@ class Bar(CampaignObserver):
 
     def __enter__(self) -> "Bar":
         self._progress.start()
-        self._bar = self._progress.add_task(f"{self._name} {self._words}", total=None)
+        self._bar = self._progress.add_task(f"{self._name} getting ready", total=None)
         self._printer.start()
         return self
 

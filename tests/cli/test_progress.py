@@ -39,7 +39,7 @@ def test_a_line_says_how_far_it_is_how_fast_and_how_long_still(monkeypatch):
 
 
 def test_the_bar_tells_the_time_gone_from_the_time_left():
-    console = Console(width=160)
+    console = Console(width=80)
     with Bar("margins") as bar, console.capture() as shown:
         bar.begun(120, [FlownRun(k, "passed") for k in range(30)])
         console.print(bar._progress.get_renderable())
