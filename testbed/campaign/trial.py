@@ -6,7 +6,6 @@ import time
 import traceback
 from collections.abc import Sequence
 from contextlib import redirect_stderr, suppress
-from importlib.metadata import version
 from io import StringIO
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from testbed.realtime.scheduling import no_garbage_collection, settle
 from testbed.rig.chain import watched
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin, warm_up
+from testbed.run.code_digest import own_version
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import write_config, write_metrics
 from testbed.run.judge import measure
@@ -92,7 +92,7 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
         folder = Path(name)
         try:
             experiment = read(base, overrides)
-            write_config(folder, dump(experiment), version("airbearing-testbed"))
+            write_config(folder, dump(experiment), own_version())
             # standard error belongs to the campaign
             with redirect_stderr(StringIO()), watched(experiment, slow=False):
                 metrics = fly_and_judge(experiment, folder)

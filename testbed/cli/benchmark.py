@@ -5,7 +5,6 @@ import sys
 import textwrap
 from contextlib import redirect_stdout, suppress
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
@@ -32,7 +31,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import print_text, show
 from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
-from testbed.run.code_digest import code_digest
+from testbed.run.code_digest import code_digest, own_version
 from testbed.run.interrupt import Interrupt
 
 BEFORE = (  # comment above the commands
@@ -83,7 +82,7 @@ def run_benchmark(
                     "yellow",
                 )
                 return INTERRUPTED
-            record = Record(file.name, version("airbearing-testbed"), table, code_digest())
+            record = Record(file.name, own_version(), table, code_digest())
         text = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
         folder.mkdir(parents=True, exist_ok=True)
         write_atomic(folder / "scores.json", text)

@@ -4,7 +4,6 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 from msgspec import Struct
@@ -30,6 +29,7 @@ from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
 from testbed.rig.live import LiveFlight
 from testbed.rig.twin import make_twin
+from testbed.run.code_digest import own_version
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import (
     FolderError,
@@ -116,7 +116,7 @@ def _flown(
     """Fly; the metrics, and the experiment with the changes that its page made."""
     rig, pace = options.rig, options.pace
     with ExitStack() as stack, noted_here(rig, experiment, folder):
-        write_config(folder, dump(experiment), version("airbearing-testbed"))
+        write_config(folder, dump(experiment), own_version())
         own = heartbeat()
         own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
         viewers.start(experiment, folder)

@@ -4,7 +4,6 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
-from importlib.metadata import version
 from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Literal
@@ -20,6 +19,7 @@ from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.arguments import check_experiment, check_number, check_overrides, path_of, wrong
+from testbed.run.code_digest import own_version
 from testbed.run.experiment import told_by
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
@@ -95,7 +95,7 @@ def _fly(
             stack.enter_context(interrupt.caught())
         stack.enter_context(watched(experiment))
         try:
-            write_config(folder, dump(experiment), version("airbearing-testbed"))
+            write_config(folder, dump(experiment), own_version())
             screen = Progress(experiment.duration_s) if progress else None
             metrics = fly_and_judge(
                 experiment, folder, interrupt, make(folder), screen=screen, epoch_ns=utc_ns()

@@ -1,8 +1,8 @@
-"""A digest of the code, so that runs of two versions are never mixed."""
+"""Version and digest of the code, so that runs of two versions are never mixed."""
 
 import hashlib
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -15,6 +15,14 @@ FILES = (  # code that plans runs and computes their numbers
     "testbed/campaign/trial.py", "testbed/run/fly.py", "testbed/run/judge.py",
 )  # fmt: skip
 LIBRARIES = ("numba", "numpy", "scipy")
+
+
+def own_version() -> str:
+    """This package's version; it may be run from its sources without being installed."""
+    try:
+        return version("airbearing-testbed")
+    except PackageNotFoundError:
+        return "not-installed"
 
 
 @cache

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,8 @@ import pytest
 
 from controllers.law_file import digest
 from testbed.config import dump, find, load
-from testbed.run import folder
+from testbed.run import code_digest, folder
+from testbed.run.code_digest import own_version
 from testbed.run.folder import FolderError, new_folder, write_config
 
 NOON = "20260101T120000Z"
@@ -125,3 +127,12 @@ def test_a_law_named_in_python_gets_its_digest(tmp_path):
     assert written["sha256"] == digest(law)
     with pytest.raises(FolderError, match="found     an edited one"):
         write_config(folder, {"controller": {**controller, "sha256": "0" * 64}}, "1.2.3")
+
+
+def test_sources_that_are_not_installed_fly_too(monkeypatch):
+    def version(name):
+        raise PackageNotFoundError(name)
+
+    assert own_version()[0].isdigit()
+    monkeypatch.setattr(code_digest, "version", version)
+    assert own_version() == "not-installed"
