@@ -30,6 +30,8 @@ from testbed.report.page import read_metrics
 from testbed.report.verdict import UNCOUNTED
 from testbed.rig.chain import formation_context
 
+LAST_TICKS = 1.5  # the log of a completed flight ends so many before the flight, at most
+
 
 def judged(folder: Path, log: Path, experiment: Experiment, history: History) -> Metrics:
     """metrics.json of a run, or metrics from its log if the file is missing."""
@@ -46,6 +48,8 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         if isinstance(one.message, Tick) and one.who in aims:
             aims[one.who].note(one.message)
     track = track_of(experiment, history)
+    last = experiment.end_s - LAST_TICKS * experiment.flight.jet_period_s
+    completed_s = history.end if history.end > last else 0.0
     wires = any(len(vehicle.wires) for vehicle in history.vehicles.values())
     why = "the flight was killed before it was judged; gas and contacts are not in the log"
     if not book.finished:
@@ -64,17 +68,19 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         fault_report=FaultReport(FaultId.PROCESS_ENDED, why),
         criteria=None,
         vehicles={
-            name: _vehicle(track, k, experiment, name, aims[name].aim())
+            name: _vehicle(track, k, experiment, name, aims[name].aim(), completed_s)
             for k, name in enumerate(experiment.vehicles)
         },
         formation=formation_metrics(experiment.controller, formation_context(experiment), track),
     )
 
 
-def _vehicle(track: Track, k: int, experiment: Experiment, name: str, aimed: Aim) -> VehicleMetrics:
+def _vehicle(
+    track: Track, k: int, experiment: Experiment, name: str, aimed: Aim, completed_s: float
+) -> VehicleMetrics:
     goal, unknown = experiment.vehicles[name].goal, Consumption(0.0, 0.0, None)
     distances = obstacle_distances(track, k, experiment.obstacles)
-    found = vehicle_metrics(track, k, goal, aimed, unknown, distances, 0.0)
+    found = vehicle_metrics(track, k, goal, aimed, unknown, distances, completed_s)
     return replace(found, impulse_ns=None, gas_g=None)
 
 
