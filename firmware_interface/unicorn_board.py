@@ -47,11 +47,8 @@ class UnicornBoard:
     def _counts(self) -> tuple[int, int]:
         """Converter counts of the sensors: the least counts that read as at least the values."""
         supply, pressure = self._sensed
-        volts, pascals = (
-            -(-supply * FULL // SUPPLY_FULL_MV),
-            -(-pressure * FULL // PRESSURE_FULL_PA),
-        )
-        return min(volts, FULL), min(pascals, FULL)
+        volts, pascals = -supply * FULL // SUPPLY_FULL_MV, -pressure * FULL // PRESSURE_FULL_PA
+        return min(-volts, FULL), min(-pascals, FULL)
 
     @property
     def now_us(self) -> int:

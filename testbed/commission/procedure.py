@@ -163,7 +163,7 @@ class Procedure:
             elif share > HIGH:
                 code, text = "pressure_high", f"{text}: turn the regulator down"
             self._report(Verdict("pressure", name, text, code, {"share": share}))
-        least, _ = arming.volts(gauges.battery_v)
+        least, _ = arming.battery_limits(gauges.battery_v)
         if gauges.battery and health.battery < least:
             text = f"{health.battery:.1f} V: charge the battery"
             self._report(Verdict("battery", name, text, "battery", {"volts": health.battery}))

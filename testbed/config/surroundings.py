@@ -64,8 +64,8 @@ def _beyond(name: str, where: str, part: Any, limits: tuple[Limit, ...]) -> Iter
 
 
 def _battery(experiment: Experiment, name: str, gauges: Gauges) -> Iterator[Concern]:
-    """Limits for another battery than the vehicle's."""
-    least, most = experiment.arming.volts(gauges.battery_v)
+    """Warn of limits that the vehicle's battery does not meet."""
+    least, most = experiment.arming.battery_limits(gauges.battery_v)
     floors = [
         one.below
         for one in experiment.faults.values()

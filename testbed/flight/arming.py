@@ -44,7 +44,7 @@ class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     operator_age_s: Positive = 0.5
     commissioned: bool = False  # on the table: only with a record of `testbed commission`
 
-    def volts(self, nominal: float) -> tuple[float, float]:
+    def battery_limits(self, nominal: float) -> tuple[float, float]:
         """Least and most voltage of a battery of `nominal` [V] that passes."""
         least = FLAT * nominal if self.battery is None else self.battery
         most = CHARGED * nominal if self.battery_most is None else self.battery_most
@@ -154,7 +154,9 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
         volts = f"{health.battery:.1f} V"
         if health.battery <= 0.0:
             volts = f"no voltage: connect the battery; {NO_SENSOR.format('battery')}"
-        check("battery", health.battery, volts, *p.volts(expected.battery_v), at_reset=False)
+        check(
+            "battery", health.battery, volts, *p.battery_limits(expected.battery_v), at_reset=False
+        )
         silent = f"silent for {health.silent_s:.2f} s"
         check("board", health.silent_s, silent, most=p.pose_age_s)
     check("valves", None, "the board reports an open valve", green=ready.valves_shut)

@@ -158,7 +158,7 @@ def least_of(vehicle: Vehicle, table: Table, bumps: float) -> Array:
     least[DRAG] = PATCHY if table.friction else LEAST_DRAG
     scale = max(LEAST_SCALE, 3.0 * table.spread.thrust, 2.0 * vehicle.tolerance.thrust)
     least[THRUST] = least[MASS] = scale
-    # a body that was measured so exactly, and nozzles that push so exactly where the file says
+    # how well the heading in motion capture and the directions of the nozzles are known
     aside = max(4.0 * table.spread.body_deg, 3.0 * vehicle.tolerance.direction_deg)
     least[TURNED] = max(LEAST_TURN, math.radians(aside))
     least[LATE] = max(LEAST_DELAY, 4.0 * table.spread.clock_s)

@@ -124,8 +124,8 @@ def pulses(p, carried, duty, share):
             on[j] = realisable(longer[j] * p.period, p.period, p.min_on, p.min_off)
             offset[j] = 0.5 * (p.period - on[j])
         else:  # these pulses are not nested: each other jet flows for its share of the time
-            longer[j] = duty[j] * (1.0 + p.droop * (together - duty[j]))
-            on[j], offset[j] = pulse_frequency(p, carried, j, min(1.0, longer[j]))
+            beside = 1.0 + p.droop * (together - duty[j])
+            on[j], offset[j] = pulse_frequency(p, carried, j, min(1.0, beside * duty[j]))
     return on, offset
 
 

@@ -73,9 +73,7 @@ class VehicleMetrics(Struct, frozen=True):
     final_error_m: float | None
     settle_s: float | None  # time after which the position stays within 0.05 m of the goal
     track_rms_m: float | None  # true position against the reference; null in wrench mode
-    hold_rms_m: (
-        float | None
-    )  # true position against the goal in the last 30 s; null if it was not completed
+    hold_rms_m: float | None  # true position against the goal in the last 30 s of a whole run
     heading_rms_deg: float | None  # true heading against the commanded one
     min_obstacle_distance_m: float | None  # centre to centre, nearest obstacle
     impulse_ns: float | None  # of all jets together
