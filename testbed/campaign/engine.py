@@ -56,6 +56,21 @@ def most_workers() -> int:
     return max(os.cpu_count() or 1, int(memory / (1e9 * WORKER_GB)))
 
 
+def check_jobs(jobs: int, scheduler: str | None) -> None:
+    """Refuse more workers than fit into this machine's memory; a cluster decides for itself.
+
+    Raises:
+        EngineError: they are too many.
+    """
+    if scheduler is None and jobs > (most := most_workers()):
+        raise EngineError(
+            where=f"--jobs {jobs}",
+            expected=f"at most {most}: a worker takes {WORKER_GB:g} GB of memory; "
+            f"more than this machine's {os.cpu_count()} cores fly no faster",
+            found=str(jobs),
+        )
+
+
 @contextmanager
 def workers(jobs: int, scheduler: str | None, tasks: int | None = None) -> Iterator[Any]:
     """A Dask client with workers on this machine, or of the cluster at `scheduler`.
@@ -66,15 +81,9 @@ def workers(jobs: int, scheduler: str | None, tasks: int | None = None) -> Itera
         tasks: more workers than these are not started; None: their number is not known.
 
     Raises:
-        EngineError: the cluster does not answer, or has other code.
+        EngineError: too many `jobs`, or the cluster does not answer or has other code.
     """
-    if scheduler is None and jobs > (most := most_workers()):
-        raise EngineError(
-            where=f"--jobs {jobs}",
-            expected=f"at most {most}: a worker takes {WORKER_GB:g} GB of memory; "
-            f"more than this machine's {os.cpu_count()} cores fly no faster",
-            found=str(jobs),
-        )
+    check_jobs(jobs, scheduler)
     with needs_extra("campaign"):
         import dask
         import distributed  # noqa: F401  (its import sets up its loggers, which `_quiet` silences)

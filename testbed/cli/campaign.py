@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Grid
 
-from testbed.campaign.engine import EngineError
+from testbed.campaign.engine import EngineError, check_jobs
 from testbed.campaign.flight import (
     CampaignEnd,
     RunFunctions,
@@ -48,6 +48,7 @@ def run_campaign(
     interrupt, ended, watch = Interrupt(), None, Bar()
     summaries: list[Summary] = []
     try:
+        check_jobs(jobs, scheduler)
         path = find_campaign(name)
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             campaign = load_campaign(path)

@@ -13,7 +13,7 @@ from testbed.cli.screen import show
 from testbed.logs.export import WRITERS, ExportError, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
-from testbed.run.missing_parts import lacks, metrics_of
+from testbed.run.missing_parts import lacks
 from testbed.run.recorded import check_files
 
 
@@ -22,6 +22,8 @@ def show_log(run: Path, as_json: bool) -> int:
     try:
         book = LogReader(log_of(run))
         topics = survey(book.read(), book.kinds)
+        if not topics:
+            raise LogError(f"{book.path}: there are no messages in the log")
     except LogError as error:
         return refuse(error)
     missing = lacks(book)
@@ -44,11 +46,6 @@ def show_log(run: Path, as_json: bool) -> int:
             "-" if longest is None else f"{longest:.2f}", f"{topic.megabytes:.2f}",
         )  # fmt: skip
     show(out, grid)
-    if not book.finished:
-        why = "its writer was killed or is still running"
-        if metrics_of(book.path.parent) is not None:
-            why = "this copy is cut off, because its flight has metrics"
-        out.print(f"the log is incomplete: {why}")
     return OK
 
 

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as Grid
 
 from testbed.campaign.compilation import compile_first
-from testbed.campaign.engine import WorkerPool, workers
+from testbed.campaign.engine import WorkerPool, check_jobs, workers
 from testbed.campaign.flight import JOURNAL, gone, make_folder
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import FlownRun, Task
@@ -62,6 +62,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
     """Tune; return the exit code."""
     interrupt, result = Interrupt(), None
     try:
+        check_jobs(jobs, scheduler)
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             tuning = load_tuning(find_campaign(name))
         folder = out or Path("runs") / f"tuning_{tuning.file.name}"

@@ -130,7 +130,8 @@ class LogReader:
         """Handle wrong first bytes: not a log, or its beginning is damaged."""
         self._at = self._sound = 0
         if self._search_on(file, _size(file)) is None:
-            raise LogError(where=str(self.path), expected="an MCAP file", found=repr(magic))
+            found = f"a file that begins with {magic.decode('latin-1')!r}"
+            raise LogError(where=str(self.path), expected="an MCAP file", found=found)
         self._at = self._sound = self._unpacked = 0
 
     def read(self) -> Iterator[Row]:

@@ -15,6 +15,7 @@ import pytest
 import tomli_w
 
 from testbed.campaign.benchmark import score
+from testbed.campaign import engine
 from testbed.campaign.engine import EngineError, workers
 from testbed.campaign.flight import CampaignEnd, open_journal, replay_command
 from testbed.campaign.journal import JournalError
@@ -434,6 +435,16 @@ key = "controller.damping"
 low = 0.5
 high = 1.0
 """
+
+
+@pytest.mark.parametrize("verb", ["campaign", "tune"])
+def test_refused_workers_leave_no_folder(testbed, here, monkeypatch, verb):
+    monkeypatch.setattr(engine, "most_workers", lambda: 2)
+    (here / "tune.toml").write_text(TUNING)
+    result = testbed(verb, "tune.toml" if verb == "tune" else "try.toml", "--jobs", "3")
+    assert result.exit_code == 2
+    assert "expected  at most 2" in result.stderr
+    assert not (here / "runs").exists()
 
 
 @pytest.mark.parametrize("verb", ["campaign", "tune"])

@@ -39,7 +39,22 @@ def test_a_log_without_an_end_is_said(testbed, run):
     log.write_bytes(log.read_bytes()[:9000])
     result = testbed("log", "out")
     assert result.exit_code == 0
-    assert "incomplete" in result.stdout
+    assert "out/log.mcap is cut off at" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["empty.csv", "empty.mcap"])
+def test_an_empty_file_is_not_listed(testbed, name):
+    Path(name).touch()
+    result = testbed("log", name)
+    assert result.exit_code == 2
+    assert result.stderr == f"error: {name}: there are no messages in the log\n"
+
+
+def test_a_file_of_another_kind_is_shown_by_its_beginning(testbed):
+    Path("poses.csv").write_text("t_s,x_m,y_m\n")
+    result = testbed("log", "poses.csv")
+    assert "expected  an MCAP file" in result.stderr
+    assert "found     a file that begins with 't_s,x_m,'" in result.stderr
 
 
 def test_export_writes_files_and_never_over_others(testbed):
