@@ -91,15 +91,15 @@ class Gains(NamedTuple):
 
 
 @compiled
-def swerved(gains, own, obstacles, downhill):
-    """K_o sum of w_ik, Eq. (17), shape (d,) [m/s]; `downhill` is the gradient of Psi."""
+def swerved(gains, own, obstacles, gradient):
+    """K_o sum of w_ik, Eq. (17), shape (d,) [m/s]; `gradient` is that of Psi."""
     total = np.zeros(own.p.shape[0])
     if gains.swerve == OFF:
         return total
     for k in range(obstacles.p.shape[0]):
         share = obstacle_gradient(gains.potential, own, obstacles, k)  # K_o included
         for q in range(own.p.shape[0]):
-            g, power = downhill[q], share[q] * obstacles.v[k, q]
+            g, power = gradient[q], share[q] * obstacles.v[k, q]
             if share[q] == 0.0:
                 continue
             if gains.swerve == SMOOTH:

@@ -1,6 +1,7 @@
 """Conditions of a law's proof that the start of an experiment violates.
 
-For all laws: converts the start to the paper's units and calls `certificate`. It also checks what
+The bounded laws have a `certificate`, which is called with the start in the paper's units. The laws
+of xue2021 and gao2022 have conditions of their own. The module also checks what
 every formation law assumes: edges of the start are no longer than the range, and the desired
 distances are geometrically possible.
 

@@ -77,7 +77,7 @@ class MpcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="mpc"):
     margin: NonNegative = 0.05  # beyond the discs' radii [m]
     violation: Positive = 1e4  # cost per metre of violated margin
     feed: Feed = "disturbance"
-    remainder_s: NonNegative = 5.0  # with this feed; 0: off [s]
+    remainder_s: NonNegative = 5.0  # only with feed = "disturbance"; 0: off [s]
     mean_motion: NonNegative = 0.0  # [rad/s]
     period: Positive = 0.1  # hold time of a force if the caller does not give one [s]
     scale: Scale = field(default_factory=Scale)

@@ -62,12 +62,12 @@ def play(wires, issued, valid_until, times_us):
     Returns:
         number of openings added.
     """
-    pulses, spread, luck = wires.pulses, wires.spread, wires.luck
+    pulses, spread, noise = wires.pulses, wires.spread, wires.noise
     delay, min_on, min_off = wires.times[0], wires.times[1], wires.times[2]
     openings, jets = 0, times_us.shape[0] // 2
     start, end = delay + round(issued * 1e9), delay + round(valid_until * 1e9)
     for j in range(jets):
-        strength = 1.0 + spread * normal(luck)
+        strength = 1.0 + spread * normal(noise)
         up, down, on = pulses.up[j], pulses.down[j], 1000 * times_us[j]
         up_at = start + 1000 * times_us[jets + j]
         down_at = min(up_at + on, end)
@@ -110,7 +110,7 @@ class Wires(NamedTuple):
     pulses: Pulses
     times: NDArray[np.int64]  # (3,) command delay, shortest pulse, shortest gap [ns]
     spread: float  # standard deviation of the relative thrust of a pulse
-    luck: Words  # stream of the pulses' thrust
+    noise: Words  # stream of the pulses' thrust
 
 
 class Board:
@@ -132,7 +132,7 @@ class Board:
 
     def reseed(self, rng: np.random.Generator) -> None:
         """Draw the pulses' thrust from another generator from now on."""
-        self.wires.luck[:] = words(rng)
+        self.wires.noise[:] = words(rng)
 
     def lose_power(self, since: float, until: float) -> None:
         """Cut the power from `since` to `until` [s]: all valves close, plans are ignored."""

@@ -36,7 +36,7 @@ class Film(NamedTuple):
     """What the cameras saw of each body, for compiled code."""
 
     noise: Words  # (n, WORDS) stream of noise and jitter
-    luck: Words  # (n, WORDS) stream of losses
+    losses: Words  # (n, WORDS) stream of losses
     lost_until: Array  # (n,) end of the last loss [s]
     poses: Array  # (n, room, 5) arrival, time of exposure, x, y, theta; in order of arrival
     tally: Whole  # (n, 3) poses, how many of them have arrived, how many were taken
@@ -62,7 +62,8 @@ def photograph(film, optics, times, states, shown, now):
     """
     film, most = borrowed(film), 0
     for k in range(film.tally.shape[0]):
-        poses, noise, luck, taken = film.poses[k], film.noise[k], film.luck[k], film.tally[k, TAKEN]
+        poses, noise, losses = film.poses[k], film.noise[k], film.losses[k]
+        taken = film.tally[k, TAKEN]
         n = film.tally[k, POSES] - taken
         for i in range(n if taken > 0 else 0):
             poses[i] = poses[i + taken]
@@ -70,7 +71,7 @@ def photograph(film, optics, times, states, shown, now):
             t, lost_until = times[m], film.lost_until[k]
             # a fixed number of draws per exposure: results do not depend on how often one looks
             dx, dy, turn, late = normal(noise), normal(noise), normal(noise), normal(noise)
-            begins, length = uniform(luck), uniform(luck)
+            begins, length = uniform(losses), uniform(losses)
             if t >= lost_until and begins < optics.losing:
                 lost_until = film.lost_until[k] = t - optics.lost * np.log1p(-length)
             if t < lost_until:
@@ -169,7 +170,7 @@ class Cameras:
         ]
         self.film = Film(
             np.array([words(noise) for noise, _ in pairs]),
-            np.array([words(luck) for _, luck in pairs]),
+            np.array([words(losses) for _, losses in pairs]),
             np.full(n, -np.inf),
             np.empty((n, ROOM, 5)),
             np.zeros((n, 3), np.int64),
@@ -181,8 +182,8 @@ class Cameras:
     def reseed(self, names: Sequence[str], seed: int) -> None:
         """Draw other random numbers from now on."""
         for k, name in enumerate(names):
-            noise, luck = stream(seed, name, "camera").spawn(2)
-            self.film.noise[k], self.film.luck[k] = words(noise), words(luck)
+            noise, losses = stream(seed, name, "camera").spawn(2)
+            self.film.noise[k], self.film.losses[k] = words(noise), words(losses)
 
     def load(self, exposures: int) -> Film:
         """The film, with room for so many exposures."""

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from sim_twin.board import Board
 from sim_twin.lab_faults import Late, moved, turned
-from sim_twin.plant import PADS, Plant
+from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from testbed.core.fault_injection import OF_FRAME, Injection
+from testbed.core.landing import PADS
 from testbed.core.table import Obstacle
 from testbed.core.types import ALL_WELL, PoseSample, Vitals
 
@@ -243,7 +244,7 @@ class FaultInjector:
         dx, dy, turn = (dither * self._rng.standard_normal(3)).tolist()
         return moved(turned(still, turn / REACH), dx, dy)
 
-    def air(self, receiver: str) -> tuple[float, float]:
+    def radio(self, receiver: str) -> tuple[float, float]:
         """Injected delay [s] and loss probability of messages to a vehicle."""
         late, lost = self.found(receiver, "delay_link"), self.found(receiver, "lose_link")
         return late.size if late else 0.0, lost.size if lost else 0.0

@@ -31,6 +31,7 @@ from sim_twin.plant_parameters import PlantParameters, sample_plant
 from sim_twin.randomness import stream
 from testbed.core.bundle import Bundle, unpacked
 from testbed.core.compiled import compiled, inlined, with_fixed_types
+from testbed.core.landing import GRAVITY, PADS
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import Pose
 from testbed.core.vehicle import Vehicle
@@ -42,11 +43,6 @@ HAIR = 1e-9  # [s] shorter pieces, left by rounding, join the previous one
 REST = 0.002  # [s] between two checks of a persistent contact
 BISECTIONS = 40  # of MAX_STEP, resolves 1e-14 s
 FAR_AHEAD = 10**15  # [ns]
-# A vehicle without bearing air stands on the table: graphite pads on polished granite. Friction
-# coefficients are 0.1 to 0.2; the lower value slides farther. Friction acts at once. [assumed]
-FRICTION = 0.1
-GRAVITY = 9.81  # [m/s^2]
-PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle [assumed]
 
 
 class Windows(NamedTuple):
@@ -198,6 +194,7 @@ class Plant:
         drivers: Mapping[str, Driver] | None = None,
     ) -> None:
         self.names = list(vehicles)
+        self._friction = [one.landing.friction for one in vehicles.values()]
         solid = {name: o for name, o in obstacles.items() if o.solid > 0.0}
         self._others = [*self.names, "right edge", "left edge", "upper edge", "lower edge", *solid]
         self.parameters = sample_plant(vehicles, seed, table.spread)
@@ -264,14 +261,11 @@ class Plant:
         """Shut off the air of vehicle `k` at the tank: jets and bearing air."""
         if k in self.landed:
             return
-        p = self.parameters
+        p, slows = self.parameters, self._friction[k] * GRAVITY  # friction acts at once [assumed]
         self._aloft[k] = p.effect[k].copy(), p.thrust[k].copy(), float(p.bearing_flow[k])
-        self.parameters.effect[k] = self.parameters.thrust[k] = 0.0
-        self.parameters.bearing_flow[k] = 0.0
+        p.effect[k] = p.thrust[k] = p.bearing_flow[k] = 0.0
+        p.grip[k] = slows, slows * PADS * p.radius[k] * p.mass[k] / p.inertia[k]
         self.landed[k] = self.t
-        parameters, slows = self.parameters, FRICTION * GRAVITY
-        turns = slows * PADS * parameters.radius[k] * parameters.mass[k] / parameters.inertia[k]
-        parameters.grip[k] = slows, turns
 
     def lift(self, k: int) -> None:
         """Open the air of vehicle `k` again."""

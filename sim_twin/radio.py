@@ -20,7 +20,7 @@ from testbed.core.table import Link
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-DELAY, JITTER, LOSS, BURST_LOSS, BURST_ENTER, BURST_LEAVE = range(6)  # columns of `Links.weather`
+DELAY, JITTER, LOSS, BURST_LOSS, BURST_ENTER, BURST_LEAVE = range(6)  # columns of `Links.model`
 SENT, NEWEST, SIZE, WAITING = range(4)  # columns of `Links.tally`
 ROOM = 8  # messages on the way on one link, at first
 SILENCE = -1  # size of the newest message before the first
@@ -29,9 +29,9 @@ SILENCE = -1  # size of the newest message before the first
 class Links(NamedTuple):
     """All links, from one sender to one receiver, for compiled code; a row each."""
 
-    weather: Array  # (n, 6) see table.Link
-    trouble: Array  # (n, 2) injected delay [s] and loss probability, added to the link's own
-    luck: Words  # (n, WORDS) stream of the losses
+    model: Array  # (n, 6) see table.Link
+    injected: Array  # (n, 2) injected delay [s] and loss probability, added to the link's own
+    losses: Words  # (n, WORDS) stream of the losses
     delays: Words  # (n, WORDS) stream of the jitter
     bad: NDArray[np.bool_]  # (n,) state of the channel
     # (n, 4) number of messages sent; place among them, and size, of the newest that arrived;
@@ -68,16 +68,16 @@ def send(links, rows, t, message):
     """
     links, full, size = borrowed(links), False, message.shape[0]
     for k in rows:
-        count, weather = links.tally[k], links.weather[k]
+        count, model = links.tally[k], links.model[k]
         # a fixed number of draws per message: losses do not depend on injected faults
-        turn, lose = uniform(links.luck[k]), uniform(links.luck[k])
-        unlucky, delay = uniform(links.luck[k]), exponential(links.delays[k])
-        if turn < weather[BURST_LEAVE if links.bad[k] else BURST_ENTER]:
+        turn, lose = uniform(links.losses[k]), uniform(links.losses[k])
+        lose_too, delay = uniform(links.losses[k]), exponential(links.delays[k])
+        if turn < model[BURST_LEAVE if links.bad[k] else BURST_ENTER]:
             links.bad[k] = not links.bad[k]
         count[SENT] += 1
-        if lose < weather[BURST_LOSS if links.bad[k] else LOSS] or unlucky < links.trouble[k, 1]:
+        if lose < model[BURST_LOSS if links.bad[k] else LOSS] or lose_too < links.injected[k, 1]:
             continue
-        arrival = t + links.trouble[k, 0] + weather[DELAY] + weather[JITTER] * delay
+        arrival = t + links.injected[k, 0] + model[DELAY] + model[JITTER] * delay
         if arrival <= t:
             count[NEWEST], count[SIZE] = count[SENT], size
             links.newest[k, :size] = message
@@ -116,13 +116,13 @@ class Radio:
 
     def __init__(self, link: Link, seed: int) -> None:
         self._seed = seed
-        self._weather = (
+        self._model = (
             link.delay_s, link.jitter_s, link.loss, link.burst_loss, link.burst_enter,
             link.burst_leave,
         )  # fmt: skip
         self.links = no_links(0, ROOM, 1)
         self._rows: dict[tuple[str, str], int] = {}
-        self._trouble: dict[str, tuple[float, float]] = {}
+        self._injected: dict[str, tuple[float, float]] = {}
         self._send = with_fixed_types(send)
 
     def rows(self, pairs: Iterable[tuple[str, str]]) -> Whole:
@@ -135,20 +135,20 @@ class Radio:
             row = self._rows[sender, receiver] = len(self._rows)
             if row == len(self.links.bad):
                 self._grow(rows=2 * row + 16)
-            self._sow(row, sender, receiver)
-            self.links.weather[row] = self._weather
-            self.links.trouble[row] = self._trouble.get(receiver, 0.0)
+            self._seed_link(row, sender, receiver)
+            self.links.model[row] = self._model
+            self.links.injected[row] = self._injected.get(receiver, 0.0)
         return row
 
-    def _sow(self, row: int, sender: str, receiver: str) -> None:
-        luck, delays = stream(self._seed, "link", sender, "to", receiver).spawn(2)
-        self.links.luck[row], self.links.delays[row] = words(luck), words(delays)
+    def _seed_link(self, row: int, sender: str, receiver: str) -> None:
+        losses, delays = stream(self._seed, "link", sender, "to", receiver).spawn(2)
+        self.links.losses[row], self.links.delays[row] = words(losses), words(delays)
 
     def reseed(self, seed: int) -> None:
         """Draw other random numbers from now on."""
         self._seed = seed
         for pair, row in self._rows.items():
-            self._sow(row, *pair)
+            self._seed_link(row, *pair)
 
     def _grow(self, *, rows: int = 0, room: int = 0, width: int = 0) -> None:
         old, (had, has_room, had_width) = self.links, self.links.waiting.shape
@@ -167,11 +167,11 @@ class Radio:
 
     def disturb(self, receiver: str, late: float, lost: float) -> None:
         """Let messages to `receiver` take longer [s] and be lost with a further probability."""
-        if self._trouble.get(receiver, (0.0, 0.0)) != (late, lost):
-            self._trouble[receiver] = late, lost
+        if self._injected.get(receiver, (0.0, 0.0)) != (late, lost):
+            self._injected[receiver] = late, lost
             for (_, to), row in self._rows.items():
                 if to == receiver:
-                    self.links.trouble[row] = late, lost
+                    self.links.injected[row] = late, lost
 
     def send(self, rows: Whole, t: float, message: Array) -> None:
         """Send a message on these links at time `t` [s]; `listen` was called for it."""
@@ -191,7 +191,7 @@ class Radio:
             return None
         return self.links.newest[row, :size].copy()
 
-    def part(self, sender: str, receiver: str) -> None:
+    def drop_link(self, sender: str, receiver: str) -> None:
         """Drop all messages of a link, because the vehicles moved out of range."""
         row = self._rows.get((sender, receiver))
         if row is not None:

@@ -144,7 +144,7 @@ class Twin:
         self.now = 0.0  # time of the run [s]
         reference = table.lab.mocap.reference
         self._fixed = ReferenceBodies(reference, table.mocap, seed) if reference else None
-        self.fleet: Callable[[], FaultReport | None] = lambda: None  # a fault of the lab
+        self.lab_fault: Callable[[], FaultReport | None] = lambda: None  # stops all vehicles
         self.rate = table.mocap.rate_hz  # of the cameras [Hz]
         self.phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))  # in frames
         self.frame = 0  # number of the next one
@@ -222,13 +222,13 @@ class Twin:
                 shown = np.array(rows, np.int64)
             for name in self.names:
                 for radio in self.radios:
-                    radio.disturb(name, *broken.air(name))
+                    radio.disturb(name, *broken.radio(name))
         self.cameras.load(len(times))
         self.cameras.most = self._observe(self.sensor_ports, times, seen, shown, self.now)
         if self.reach is not None:
-            self._meet(self.reach)
+            self._update_ranges(self.reach)
 
-    def _meet(self, reach: float) -> None:
+    def _update_ranges(self, reach: float) -> None:
         """Find out which vehicles are in range of each other."""
         p = self.plant.x[:, :2]
         apart = np.linalg.norm(p[:, None] - p[None], axis=2)
@@ -237,8 +237,8 @@ class Twin:
             near = [self.names[k] for k in np.flatnonzero(row <= reach).tolist()]
             if near != self.near[one]:
                 for gone in set(self.near[one]).difference(near):
-                    self.states.part(one, gone)
-                    self.messages.part(one, law_of(gone))
+                    self.states.drop_link(one, gone)
+                    self.messages.drop_link(one, law_of(gone))
                 self.near[one] = near
                 self._audiences.clear()
 
@@ -260,7 +260,7 @@ class Twin:
     def vitals(self, name: str) -> Vitals:
         """Health of a vehicle's process; good unless a fault is injected."""
         vitals = ALL_WELL if self.injector is None else self.injector.vitals(name)
-        fault = self.fleet()
+        fault = self.lab_fault()
         return vitals if fault is None else replace(vitals, fleet=fault)
 
     def reference_bodies(self) -> dict[str, PoseSample]:

@@ -25,10 +25,8 @@ import numba
 from numba import types
 from numba.extending import overload
 
+from testbed.core.code_cache import is_ours
 from testbed.core.compiled import LEAN, compiled
-
-# `compiled` detects changes of these
-OURS = ("testbed.core.", "testbed.reproduction.kernel.", "controllers.", "sim_twin.")
 
 
 def generic(function: Callable) -> Callable:
@@ -55,7 +53,7 @@ class Integrator:
             names = "+".join(f"{part.__module__}.{part.__qualname__}" for part in parts)
             digest = hashlib.blake2b(names.encode(), digest_size=8).hexdigest()
             twin.__qualname__ = f"{f.__qualname__}_{digest}"  # numba has one cache index per name
-            kept = all(part.__module__.startswith(OURS) for part in parts)
+            kept = all(map(is_ours, parts))  # `compiled` detects their changes
             self._versions[parts] = numba.njit(cache=kept, **LEAN)(twin)
         return self._versions[parts]
 

@@ -8,14 +8,13 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 
-import msgspec
 from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import print_text, show
+from testbed.cli.screen import print_json, print_text, show
 from testbed.cli.tracked import tracked
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.spelling import counted
@@ -89,7 +88,7 @@ def run_admission(
     with redirect_stdout(sys.stderr):
         admission = admit(experiment, tracked(seeds, words, flights))
     if as_json:
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")
+        print_json(admission)
     else:
         print_admission(admission, command(name, overrides))
     if admission.admitted:

@@ -1,20 +1,18 @@
 """`testbed calibrate` and `testbed validate`: from logs to files and figures."""
 
 import re
-import sys
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from rich.console import Console
 
 from testbed.cli.base_table import table_of, tilted
 from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import refuse, warn
-from testbed.cli.screen import print_text
+from testbed.cli.screen import print_json, print_text
 from testbed.cli.steps import Steps
 from testbed.core.error import TestbedError
 from testbed.core.vehicle import Vehicle
@@ -25,7 +23,6 @@ from testbed.identification.excite import design, write_commands
 from testbed.identification.link import link_of
 from testbed.identification.mapping import load_mapping
 from testbed.identification.motion import (
-    RefusedError,
     admitted,
     calibrate_motion,
     doubts_about,
@@ -46,11 +43,6 @@ screen_of_steps = Console(stderr=True, highlight=False, soft_wrap=True)
 def today() -> Any:
     """The date, for the head of a file."""
     return datetime.now(UTC).date()  # noqa: TID251  (a file is dated)
-
-
-def print_json(tree: Any) -> None:
-    """Print JSON on standard output."""
-    sys.stdout.write(msgspec.json.format(msgspec.json.encode(tree), indent=2).decode() + "\n")
 
 
 def refused(error: TestbedError, *, as_json: bool) -> int:
@@ -115,8 +107,6 @@ def motion(
             write_table(
                 table_out, tilted(table_of(given.paths, given.mapping), slope), origin, today()
             )
-    except RefusedError as error:
-        return refused(error, as_json=as_json)
     except TestbedError as error:
         return refused(error, as_json=as_json)
     result = report_of(found, vehicle, logs) | {"out": None if out is None else str(out)}

@@ -1,6 +1,5 @@
 """`testbed compare`: several runs side by side, in a table and as figures on one page."""
 
-import sys
 from collections.abc import Sequence
 from functools import partial
 from html import escape
@@ -23,7 +22,7 @@ from testbed.cli.compare_paper import (
 )
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
-from testbed.cli.screen import show
+from testbed.cli.screen import print_json, show
 from testbed.config import ConfigError, Experiment, load
 from testbed.logs.history import History
 from testbed.logs.log_reader import LogError, config_of, log_of
@@ -91,7 +90,7 @@ def compare_runs(
     if as_json:
         rows = rows_for(runs)
         found = {run.label: {key: worst(run, key) for _, key, *_ in rows} for run in runs}
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(found)).decode() + "\n")
+        print_json(found)
     else:
         print_table(runs)
         if printed is not None:

@@ -58,9 +58,10 @@ class Dashboard:
         else:
             self.viewer.kill()
             raise ViewerError(f"the viewer accepts no connections after {PATIENCE * PERIOD_S:g} s")
-        self._print_address()
+        self._start_feeder()
 
-    def _print_address(self) -> None:
+    def _start_feeder(self) -> None:
+        """Start the process that sends the log to the viewer."""
         self.feeder = subprocess.Popen(
             [sys.executable, "-m", "testbed.dashboard.feeder", str(self._run), self.address.data],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -81,7 +82,7 @@ class Dashboard:
             self.open(waited)
         elif self.feeder.poll() not in (None, OK, 1):  # 1: it has printed why it has no data
             self.restarts += 1
-            self._print_address()
+            self._start_feeder()
         return True
 
     def close(self) -> None:

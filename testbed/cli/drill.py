@@ -1,6 +1,5 @@
 """`testbed drill`: inject every kind of fault and print the outcomes."""
 
-import sys
 from collections.abc import Sequence
 
 import msgspec
@@ -11,7 +10,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import print_text, show
+from testbed.cli.screen import print_json, print_text, show
 from testbed.cli.tracked import tracked
 from testbed.config import ConfigError, find, load
 from testbed.faults.catalogue import CATALOGUE
@@ -50,7 +49,7 @@ def run_drill(
         return refuse(error)
     drill = summarise(rig, cases)
     if as_json:
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(drill)).decode() + "\n")
+        print_json(drill)
     else:
         print_drill(drill, cases)
     clean = not (drill.undetected or drill.valves_open_after_deadline or drill.contacts)

@@ -12,7 +12,7 @@ from rich.table import Table as Grid
 from controllers import catalogue
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import print_text, show
+from testbed.cli.screen import print_json, print_text, show
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
 from testbed.config.capability import abilities
 from testbed.config.file import fault_texts, words_for
@@ -120,7 +120,7 @@ def list_everything(as_json: bool) -> None:
     }  # a link is an old name
     everything = {"experiments": experiments, "laws": laws, "vehicles": vehicles}
     if as_json:
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(everything)).decode() + "\n")
+        print_json(everything)
         return
     out = Console(highlight=False)
     for title, entries in everything.items():
@@ -143,7 +143,7 @@ def print_schema(kind: str) -> None:
             text = {"type": "string", "description": "arithmetic of vehicle and table"}
             definitions["Fault"]["properties"][bound]["anyOf"].append(text)
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-    sys.stdout.write(msgspec.json.format(msgspec.json.encode(schema)).decode() + "\n")
+    print_json(schema)
 
 
 def _allow_path(properties: dict[str, Any], key: str) -> None:

@@ -5,7 +5,6 @@ from typing import Any
 
 from testbed.cli.base_table import table_of
 from testbed.cli.calibrate import (
-    print_json,
     read_logs,
     refused,
     screen,
@@ -16,7 +15,7 @@ from testbed.cli.calibrate import (
 from testbed.cli.exit_code import OK
 from testbed.cli.flight_logs import FlightLogs
 from testbed.cli.refusal import warn
-from testbed.cli.screen import print_text
+from testbed.cli.screen import print_json, print_text
 from testbed.cli.steps import Steps
 from testbed.core.error import TestbedError
 from testbed.identification.calibration_file import save_with_map

@@ -1,15 +1,13 @@
 """`testbed log` and `testbed export`: list the topics of a log, and convert it."""
 
-import sys
 from pathlib import Path
 
-import msgspec
 from rich.console import Console
 from rich.table import Table as Grid
 
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
-from testbed.cli.screen import show
+from testbed.cli.screen import print_json, show
 from testbed.logs.export import WRITERS, ExportError, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
@@ -30,7 +28,7 @@ def show_log(run: Path, as_json: bool) -> int:
     warn(missing)
     contents = Contents(book.finished, topics, missing)
     if as_json:
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(contents)).decode() + "\n")
+        print_json(contents)
         return OK
     out, grid = Console(highlight=False), Grid(box=None, padding=(0, 1))
     for heading in ("topic", "kind"):

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 
-import msgspec
 from rich.console import Console
 
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import refuse, warn
 from testbed.cli.result import code_of, print_result
+from testbed.cli.screen import print_json
 from testbed.config import ConfigError, load
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import LogError, config_of, log_of
@@ -28,7 +28,7 @@ def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
     except (ConfigError, LogError) as error:
         return refuse(error)
     if as_json:
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(verdict)).decode() + "\n")
+        print_json(verdict)
     else:
         _print(verdict)
     return OK if verdict.first_difference is None else FAILED

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import print_text, show
+from testbed.cli.screen import print_json, print_text, show
 from testbed.config import ConfigError
 from testbed.report.chart import alone
 from testbed.reproduction.audit import RunError, TaskResult, made, rows_of, tasks_of
@@ -58,7 +58,7 @@ def reproduce_papers(
     rows = {name: rows for name, (rows, _) in audited.items()}
     missing = [one for _, lost in audited.values() for one in lost]
     if as_json:
-        print_json(rows, as_list=key == EVERY)
+        print_verdicts(rows, as_list=key == EVERY)
     elif as_markdown:
         sys.stdout.write("\n".join(page(name, papers[name], rows[name]) for name in papers))
     else:
@@ -116,8 +116,8 @@ def make_all(papers: Mapping[str, Paper], *, quick: bool) -> tuple[Results, bool
     return found, interrupted, time.perf_counter() - began
 
 
-def print_json(rows: Mapping[str, list[ClaimRow]], *, as_list: bool) -> None:
-    """Print one object per paper; a list of objects for `all`."""
+def print_verdicts(rows: Mapping[str, list[ClaimRow]], *, as_list: bool) -> None:
+    """Print one JSON object per paper; a list of objects for `all`."""
     papers = [
         {
             "paper": name,
@@ -126,8 +126,7 @@ def print_json(rows: Mapping[str, list[ClaimRow]], *, as_list: bool) -> None:
         }
         for name, some in rows.items()
     ]
-    content = msgspec.json.encode(papers if as_list else papers[0])
-    sys.stdout.write(msgspec.json.format(content).decode() + "\n")
+    print_json(papers if as_list else papers[0])
 
 
 def print_table(name: str, paper: Paper, rows: list[ClaimRow]) -> None:

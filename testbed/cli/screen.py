@@ -5,15 +5,22 @@ not fit beside each other, the table is printed in parts, each with the first co
 """
 
 import os
+import sys
 import textwrap
 from collections.abc import Sequence
 
+import msgspec
 from rich.console import Console
 from rich.table import Column
 from rich.table import Table as Grid
 
 WIDEST = 10_000  # of a file or a pipe, which has no width [characters]
 LEAST_TEXT = 28  # width that a longer text keeps at least [characters]
+
+
+def print_json(result: object) -> None:
+    """Print a result as JSON on standard output."""
+    sys.stdout.write(msgspec.json.format(msgspec.json.encode(result), indent=2).decode() + "\n")
 
 
 def show(out: Console, grid: Grid, *, keeps_last: bool = False) -> None:

@@ -96,7 +96,7 @@ class Detector(Code):
     BATTERY = 10, "battery"  # [V]
     BOARD_SILENT = 11, "board_silent"  # [s]
     JET_OPEN = 12, "jet_open"  # share of its thrust that a jet gives without a command
-    JET_LEAKS = 13, "jet_leaks"  # standard deviations from a jet without thrust while not commanded
+    JET_LEAKS = 13, "jet_leaks"  # standard deviations by which a jet pushes while not commanded
     JET_LEAKS_OR_WEAK = 14, "jet_leaks_or_weak"  # the same, if a weak jet may explain it as well
     JET_MISSING = 15, "jet_missing"  # standard deviations by which a jet is too weak
     SPARE_ROOM = 16, "spare_room"  # [m] left after a full stop, to the nearest hazard
@@ -149,7 +149,9 @@ class FaultId(StrEnum):
     PROCESS_ENDED = auto()  # the run's own process did not finish
 
 
-LATCHED = frozenset(range(5, 14))  # inhibit reasons that are a fault
+LATCHED = frozenset(  # inhibit reasons that are a fault; the gate latches all but the last
+    range(InhibitReason.ESTIMATE_NOT_FINITE, InhibitReason.FAULT + 1)
+)
 
 # names that the fault table's file may use
 if TYPE_CHECKING:
@@ -168,7 +170,7 @@ class Refusal(Struct, frozen=True, gc=False, omit_defaults=True):
 
     @property
     def words(self) -> str:
-        """The report as one sentence."""
+        """The refusal as one sentence."""
         return self.code.words.format(*self.values, *(math.nan,) * 3)  # a message may lack some
 
 

@@ -11,7 +11,8 @@ import math
 from testbed.core.vehicle import Landing
 
 GRAVITY = 9.81  # [m/s^2]
-WATCHDOG_S = 0.15  # without commands: then a board shuts its valves [s]
+PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle [assumed]
+WATCHDOG_S = 0.15  # time without commands after which a board shuts its valves [s]
 
 
 def landing_delay(landing: Landing, watchdog: float = WATCHDOG_S) -> float:

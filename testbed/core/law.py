@@ -312,7 +312,7 @@ def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
     Between sub-steps the goal follows its derivatives, obstacles and neighbours keep their
     velocity, and the disturbance follows its rate. Within a sub-step the acceleration is constant,
     so position and velocity are exact for it; the law's state takes an Euler step, because a higher
-    order does not help laws with sgn. The law jumps at the start and tells at the end.
+    order does not help laws with sgn. `jump` comes at the start, `broadcast` at the end.
 
     Args:
         gains: of the law, registered with `compiled_rate`.

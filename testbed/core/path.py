@@ -98,8 +98,9 @@ class Points(Struct, frozen=True, forbid_unknown_fields=True, tag="points"):
     """Smooth curve from the goal of the experiment through points, from rest to rest.
 
     The curve is a cubic spline over the length of the straight lines between the points. The way
-    along it is a quintic in time, whose largest speed is `speed`; with `ramp_s` the speed is even
-    between two smooth ramps.
+    along these lines is a quintic in time, whose largest speed is `speed`; in a bend the curve is
+    longer, and the goal somewhat faster. With `ramp_s` the speed along the lines is even between
+    two smooth ramps.
     """
 
     points: Annotated[list[Point], Meta(min_length=1, max_length=1000)]  # from the goal on [m]

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 LAWS, MOCAP, THRUSTERS = "testbed.laws", "testbed.mocap", "testbed.thrusters"  # groups
 PROVIDED = {  # parameters that the testbed fills in, not options
     LAWS: (
-        "names",
-        "d",
-    ),  # of the satellites, in the order of `Body.vehicle_index`; coordinates of a position
+        "names",  # of the satellites, in the order of `Body.vehicle_index`
+        "d",  # number of coordinates of a position
+    ),
     MOCAP: ("wire",),  # `MocapWire`, the whole of [lab.mocap]
     THRUSTERS: ("vehicle", "name", "clock"),  # `Vehicle`, its name, a `Timer`
 }

@@ -19,7 +19,7 @@ class Clock(Protocol):
 
 
 class Timer(Clock, Protocol):
-    """A clock that a plug-in's thread lives by; of the machine, or of a test."""
+    """The clock of a plug-in's thread: the machine's, or that of a test."""
 
     @property
     def now(self) -> float:

@@ -4,6 +4,7 @@ A row becomes a struct when it is looked at. Making ten structs per tick, and ta
 again, took a tenth of a flight on the twin.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from itertools import chain
 from operator import attrgetter
@@ -12,6 +13,7 @@ from typing import ClassVar, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.compiled import compiled
 from testbed.core.records.kinds import SetpointKind
 from testbed.core.types import (
     Accel,
@@ -92,7 +94,7 @@ class PoseSamples(Rows[PoseSample]):
 
 
 class References(Rows[Reference]):
-    """References, rows in the order of record.REFERENCE."""
+    """References, rows in the order of flight.record.REFERENCE."""
 
     __slots__ = ()
     width = 10
@@ -109,7 +111,7 @@ class References(Rows[Reference]):
 
 
 class States(Rows[State]):
-    """Estimates, rows in the order of record.STATE after its `known`."""
+    """Estimates, rows in the order of flight.record.STATE after its `known`."""
 
     __slots__ = ()
     width = 12
@@ -130,7 +132,7 @@ SETPOINT_WIDTH = 8  # numbers of a setpoint without its references
 
 
 def numbers_of(setpoint: Setpoint | None) -> tuple[float, ...]:
-    """A setpoint without its references, in the order of record.SETPOINT."""
+    """A setpoint without its references, in the order of flight.record.SETPOINT."""
     if setpoint is None:
         return SetpointKind.NONE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if isinstance(setpoint, Trajectory):
@@ -138,6 +140,23 @@ def numbers_of(setpoint: Setpoint | None) -> tuple[float, ...]:
         return SetpointKind.TRAJECTORY, begins, setpoint.valid_until, 0.0, 0.0, 0.0, 0.0, 0.0
     one, kind = setpoint, SetpointKind.DEMAND
     return kind, one.t, one.valid_until, one.fx_w, one.fy_w, one.theta, one.omega, one.alpha
+
+
+FORCE = 3  # column of the force of a demand in its row
+NEWEST = References.width  # numbers of the newest reference, at the end of a trajectory's row
+
+
+@compiled
+def is_finite(row):
+    """Whether a setpoint can be flown: of a trajectory the newest reference, else the demand.
+
+    Args:
+        row: see `row_of_setpoint`.
+    """
+    total = 0.0
+    for i in range(max(FORCE, row.shape[0] - NEWEST), row.shape[0]):
+        total += row[i]
+    return math.isfinite(total)
 
 
 def row_of_setpoint(setpoint: Setpoint) -> Array:

@@ -141,7 +141,8 @@ class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
     session_ok: bool = True  # setpoints are of the session that armed the vehicle
     operator_age: float = 0.0  # since the operator's presence was last heard [s]
     clock_offset: float = 0.0  # the host's clock minus the vehicle's [s]
-    # delay of this tick's start; more than detectors.SPOILT if the valves did not play a plan [s]
+    # delay of this tick's start [s]; more than the share detectors.SPOILT of a jet period if the
+    # valves did not play a plan
     late_s: float = 0.0
     disk_free: float = 1e12  # on the disk of the log [bytes]
     same_config: bool = True  # host and vehicle have the same configuration hash

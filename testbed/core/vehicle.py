@@ -38,6 +38,9 @@ class Valve(Struct, frozen=True, forbid_unknown_fields=True):
     min_off_s: NonNegative
 
 
+LOWEST_SHARE = 0.1  # of the set pressure: plans, brakes and margins count on no less
+
+
 class Air(Struct, frozen=True, forbid_unknown_fields=True):
     """Gas supply: tank, regulator, manifold."""
 
@@ -93,7 +96,9 @@ class Landing(Struct, frozen=True, forbid_unknown_fields=True):
     speed: Positive = 0.2  # fastest flight [m/s]
     slope: NonNegative = 0.005  # steepest acceleration by the table's tilt [m/s^2]
     room: NonNegative = 0.05  # free way in every direction, also at this speed [m]
-    friction: Positive = 0.1  # of the vehicle without bearing air on the table
+    # coefficient of the vehicle without bearing air: graphite pads on polished granite have 0.1 to
+    # 0.2, and the lower value slides farther [assumed]
+    friction: Positive = 0.1
 
 
 class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):

@@ -63,7 +63,7 @@ IN, OUT = packing(INPUTS), packing(STATE, OUTPUTS)
 FAULT, HOLDING, OTHER, OLDEST, LEAK, GATE_FAULT = places_in(
     OUTPUTS, "fault", "holding", "other", "oldest", "leak", "gate_fault"
 )
-STAYS_S = 1.0  # a setpoint to stay is renewed at every tick [s]
+STAYS_S = 1.0  # validity of a setpoint to stay, which is renewed at every tick [s]
 ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 NO_FILTER = 0.0, 0.0  # distance to keep, deceleration
 NO_REFERENCES = np.zeros((0, 10))
@@ -260,7 +260,7 @@ class Agent:
         return self.report(fault, gate_fault, inputs)
 
     def step_row(self, samples: Array, references: Array, neighbours: Array) -> None:
-        """One tick of the chain alone, of which `row` says the rest; see `chain.act`."""
+        """One tick of the chain alone; its other inputs are in `row`, see `chain.act`."""
         self._see(self._vehicle, samples)
         self._act(self._vehicle, samples, references, neighbours)
 

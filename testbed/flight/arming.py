@@ -23,10 +23,10 @@ FLAT, CHARGED = 11.0 / 12.0, 16.0 / 12.0  # limits of a battery: of 12 V, 11 and
 class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a healthy start."""
 
-    pose_age_s: Positive = 0.1
+    pose_age_s: Positive = 0.1  # also of the board's last answer
     pose_rate_share: Positive = 0.8  # of the cameras' rate, over the last second
     pose_rate_most: Positive = 1.2  # of that rate: a second source sends poses of this body, too
-    rejected: NonNegative = 2  # poses in a row
+    rejected: NonNegative = 2  # poses that the estimator refused, less those taken since
     at_rest: Positive = 0.01  # [m/s]
     no_spin: Positive = 0.05  # [rad/s]
     # from where the experiment starts it [m]; None: the room that the safety filter keeps, because
@@ -97,7 +97,7 @@ class Expected(Struct, frozen=True):
     fence: Fence
     start: tuple[float, float, float]  # x, y, theta, as the experiment gives it [m, rad]
     reach: Mapping[str, float]  # per other vehicle: distance of the centres at contact [m]
-    room: float  # that the safety filter keeps to the fence, and half of that to a vehicle [m]
+    room: float  # the filter's margin to the fence, or half of that to a vehicle if less [m]
 
 
 def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) -> list[Check]:

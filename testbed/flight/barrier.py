@@ -19,7 +19,7 @@ by the same least amount.
           count their own speed only: as long as each keeps c_i^2 / (2 a) <= d / 2, both can stop at
           the same time, without knowing the other's plan
     T'    T plus the reaction time of unmodelled parts
-    e     how far a neighbour approaches in that time
+    e     how far a neighbour approaches in a period T
 
 At an effort of 1/2 two vehicles that keep to this close in by at most sqrt(d / 2) (sqrt(h1) +
 sqrt(h2)), h being the deceleration by all jets of each. The room left by a full stop takes that
@@ -52,7 +52,7 @@ from testbed.core.rows import States
 from testbed.core.scratch import scratch
 from testbed.core.table import Obstacle
 from testbed.core.types import State
-from testbed.core.vehicle import NonNegative, Positive
+from testbed.core.vehicle import LOWEST_SHARE, NonNegative, Positive
 from testbed.flight.escape import CLEAR, URGENT, escape, reached_in
 from testbed.flight.half_planes import TIGHT, yielding
 
@@ -61,11 +61,10 @@ Array = NDArray[np.float64]
 RETREAT = 0.02  # largest speed out of a forbidden place [m/s]
 RETREAT_RATE = 0.5  # speed of a retreat per depth [1/s]
 FASTER = 0.1  # margin of speed in the selection of near neighbours [m/s]
-KEPT = 1.0  # a silent neighbour is extrapolated for this long, then taken as at rest [s]
+KEPT = 1.0  # longest extrapolation of a silent neighbour's position; its speed still counts [s]
 EDGES = tuple(Hazard)[Hazard.RIGHT_EDGE - 1 :]  # in the order of `filtered`
 BEYOND = 1e3  # out of reach of every vehicle [m]
 WIDTH = 7  # numbers of a disc, and of another vehicle
-WORST_SHARE = 0.1  # lowest share of the supply pressure used for planning
 LEFT = 2.0 / 3.0  # planned share of the deceleration that a bias leaves: jets may be weak, too
 LEAST = 0.1  # of the planned deceleration, however large the bias
 
@@ -369,7 +368,7 @@ class Barrier:
         others[:, [4, 6]], others[:, 5] = self._met_limits, states[:, 0]
         x, y, hazard, _ = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
-            self.obstacles, others, self.limits, max(thrust_scale, WORST_SHARE),
+            self.obstacles, others, self.limits, max(thrust_scale, LOWEST_SHARE),
         )  # fmt: skip
         if hazard < 0:
             return fx, fy, None

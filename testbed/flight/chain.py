@@ -17,6 +17,7 @@ import math
 from testbed.core.bundle import unpacked
 from testbed.core.codes import InhibitReason
 from testbed.core.compiled import compiled, pasted
+from testbed.core.vehicle import LOWEST_SHARE
 from testbed.flight import (
     detectors,
     estimator,
@@ -34,7 +35,7 @@ from testbed.flight.detectors import compare
 from testbed.flight.fired import note
 from testbed.flight.flow import flow_shares
 from testbed.flight.modulation import pulses
-from testbed.flight.plan import WEAKEST, in_microseconds
+from testbed.flight.plan import in_microseconds
 from testbed.flight.pose_check import seen_elsewhere
 
 
@@ -188,7 +189,7 @@ def plan(p, memory, row, wrench, thrust_scale):
     m, inputs, outputs, period = memory.fixed[0], row.inputs, row.outputs, p.gains.period
     if outputs.inhibit != 0:
         wrench = (0.0, 0.0, 0.0)
-    share = thrust_scale if thrust_scale > WEAKEST else WEAKEST
+    share = thrust_scale if thrust_scale > LOWEST_SHARE else LOWEST_SHARE  # nan, too
     fired, effect = memory.fired, p.jets.effect
     adds = fired.gives - fired.leaks
     fx, fy, tau = wrench

@@ -8,7 +8,7 @@ from testbed.core.codes import Detector
 from testbed.core.warned import Warned
 from testbed.flight.faults import Fault
 
-# Messages that are lost now and then in healthy flights: a warning about one bridges it.
+# A healthy flight loses a message now and then, so a warning of these rows is not reported.
 ROUTINE = Detector.POSE_AGE, Detector.SETPOINT_AGE, Detector.NEIGHBOUR_AGE
 
 

@@ -11,11 +11,9 @@ from testbed.core.pulse import Timing, timing
 from testbed.core.scratch import scratch
 from testbed.core.vehicle import Vehicle
 from testbed.flight.droop import COLUMNS, give, note_pulse
-from testbed.flight.flow import ROUNDED
+from testbed.flight.flow import HAIR, ROUNDED
 
 Array = NDArray[np.float64]
-
-HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
 
 
 class Fired(NamedTuple):

@@ -1,11 +1,11 @@
 """The gate: valves stay shut unless every condition of a healthy flight holds.
 
-It gives the reason when it is closed. Not armed, no pose yet, no setpoint yet: it waits. Any other
-reason is a fault and stays until an explicit reset, because a vehicle that has flown blind must not
-start firing again on its own.
+It gives the reason when it is closed. Not armed, setpoints of another session, no pose yet, no
+setpoint yet: it waits. Any other reason is a fault and stays until an explicit reset, because a
+vehicle that has flown blind must not start firing again on its own.
 
-A braking vehicle needs no setpoint, may be fast, and may use its own prediction for a while, also
-when it refuses poses; all other conditions apply.
+A braking vehicle needs no setpoint of this session, may be fast, and may use its own prediction
+for a while, also when it refuses poses; all other conditions apply.
 
 `refuse` checks the flight, `refuse_plan` checks the plan, in the process that owns the port.
 """

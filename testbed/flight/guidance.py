@@ -39,7 +39,7 @@ from testbed.core.types import (
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import UNLIMITED, WIDTH, Barrier, discs_of
-from testbed.flight.company import Company, meet
+from testbed.flight.heard_vehicles import HeardVehicles, heard_vehicles
 from testbed.flight.record import DEMAND, TRAJECTORY
 from testbed.flight.reference_model import ReferenceModel, advance_model, extrapolate
 from testbed.flight.turn import Turn, TurnAlong, turn_to
@@ -123,7 +123,7 @@ class Guidance:
         )
         self._world = World(self._fixed_goal, self._obstacles)
         self._they_move = bool(self._obstacles.v.any())
-        self._company: tuple[object, Company] | None = None  # at the last tick, and for whom
+        self._heard: tuple[object, HeardVehicles] | None = None  # names, and their vehicles
         self._law_state: Array | None = None
         self._inherited: Array | None = None  # state of the same law with other gains
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
@@ -297,13 +297,13 @@ class Guidance:
 
     def _knows(self, received: Received) -> bool:
         """Whether the model is made for these vehicles."""
-        company = self._company
-        return self.model is not None and company is not None and company[0] == (received.names, ())
+        heard = self._heard
+        return self.model is not None and heard is not None and heard[0] == (received.names, ())
 
     def _model(self, received: Received, t: float) -> Bundle:
         """The model and what it knows of the vehicles that it hears."""
         others, barrier = self._others(received, t), self._barrier
-        assert self._company is not None
+        assert self._heard is not None
         if self._law_state is None:
             own = Body(self._p, self._v, self._mass, ZERO, ZERO, self._max_force, self._own)
             self._law_state = self._begun(own, others, self._world)
@@ -314,7 +314,7 @@ class Guidance:
         n = len(received.names)
         return Bundle(ReferenceModel(
             self._compiled, self._law_state, motion, ZERO, self._mass, self._max_force, self._own,
-            self._period, self._steps, self._world, others, self._company[1].order,
+            self._period, self._steps, self._world, others, self._heard[1].order,
             barrier is not None, discs_of([]) if barrier is None else barrier.obstacles,
             UNLIMITED if barrier is None else barrier.limits,
             np.zeros((n, 2)) if barrier is None else barrier.neighbour_limits(received.names),
@@ -373,16 +373,18 @@ class Guidance:
         """The others, extrapolated to time `t`; for a law with messages, those that sent one."""
         words, k = received.messages, self._law.message_size
         known = received.names, tuple(words) if k else ()
-        if self._company is None or self._company[0] != known:
-            self._company = (
+        if self._heard is None or self._heard[0] != known:
+            self._heard = (
                 known,
-                meet(*known, self._who, self._params.neighbour_distance, self._law.message_size),
+                heard_vehicles(
+                    *known, self._who, self._params.neighbour_distance, self._law.message_size
+                ),
             )
-        names, order, company = self._company[1]
+        names, order, others = self._heard[1]
         p, v = np.empty((2, len(order), 2))
         self._extrapolate(received.states, order, t, p, v)
-        sent, sent_at = company.message, company.message_t
+        sent, sent_at = others.message, others.message_t
         if k and names:
             sent = np.array([words[name].values for name in names])
             sent_at = np.array([words[name].t for name in names])
-        return Neighbours(p, v, company.radius, company.vehicle_index, sent, sent_at)
+        return Neighbours(p, v, others.radius, others.vehicle_index, sent, sent_at)

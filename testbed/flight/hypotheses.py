@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
+from testbed.core.landing import PADS
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 
@@ -37,7 +38,6 @@ MOST_DRAG = 20.0  # [N s/m]
 MOST_SCALE = 3.0  # thrust of four times the file's
 MOST_TURN = 0.6  # [rad]
 MOST_DELAY = 1.3  # of the tested one
-PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle [assumed]
 # smallest sizes that are faults
 LEAST_PULL = 2e-3  # [m/s^2]; a table that is not level changes by less from place to place
 STEEPER = 4.0  # bumps of the table file: less than this is the table

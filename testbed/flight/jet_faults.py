@@ -1,7 +1,8 @@
 r"""Detects faulty jets by comparing the motion with the commands.
 
-The residual e is the change of estimated momentum from one look to the next minus the change by
-plan and slope. Three kinds of causes explain it:
+A look is an interval of at least LOOK between two estimates. Its residual e is the change of the
+estimated velocity and turn rate minus the change by plan and slope. Three kinds of causes explain
+it:
 
     z_i   uncertain parameters: the thrust of every jet, the centre of mass, the local slope.
           Each is zero within its tolerance.

@@ -4,7 +4,6 @@ Tick k is due at k * period on the given clock. In each tick every vehicle takes
 with the data that has arrived; then the host computes setpoints for the next one.
 """
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
@@ -14,10 +13,9 @@ from msgspec.structs import replace
 from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.jets import JetHealth
 from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
-from testbed.core.rows import PoseSamples
+from testbed.core.rows import PoseSamples, is_finite, row_of_setpoint
 from testbed.core.types import (
     ALL_WELL,
-    Demand,
     HostInputs,
     HostOutputs,
     HostTick,
@@ -148,14 +146,6 @@ class VehicleNode:
         return Tick(inputs, outputs)
 
 
-def _is_number(setpoint: Setpoint) -> bool:
-    """Whether a setpoint is finite; only the newest reference of a trajectory is checked."""
-    if isinstance(setpoint, Demand):
-        return math.isfinite(setpoint.fx_w + setpoint.fy_w)
-    pose = setpoint.references[-1].pose
-    return math.isfinite(pose.x + pose.y)
-
-
 class Node(Protocol):
     """A vehicle as the loop sees it."""
 
@@ -204,7 +194,7 @@ class HostNode:
         except Exception as error:  # after any exception of a law the vehicles are stopped
             self.fail(error)
             return HostTick(inputs, HostOutputs(t, None, fault=self._fault))
-        if not _is_number(setpoint):
+        if not is_finite(row_of_setpoint(setpoint)):
             self.fail(None)
             return HostTick(inputs, HostOutputs(t, None, fault=self._fault))
         link.publish(setpoint)

@@ -1,14 +1,15 @@
 """Converts a continuous duty to on/off pulses of a solenoid: one pulse per jet and period.
 
-All pulses are centred in the period, so that their impulse has the same centre in time as the
-steady thrust they replace. Where the supply droops, jets that are open together get longer pulses.
+The pulses of `pwm` and `sigma_delta` are centred in the period, so that their impulse has the same
+centre in time as the steady thrust they replace. Where the supply droops, jets that are open
+together get longer pulses.
 
 `pwm`          pulse width only, rounded to the valve's limits: a dead band around zero.
 `sigma_delta`  pulse width, and the unfired remainder is carried to the next period; remainders of
                two opposing jets cancel. No dead band, exact on average.
 `pwpf`         pulse-width pulse-frequency: a lag filter and a Schmitt trigger per jet. The
-               textbook's analogue form fires at any time; here each period gets the first pulse of
-               the filter, the valve's shortest pause after the one before.
+               textbook's analogue form fires at any time. Here a period has at most one pulse: the
+               filter's first, and not before the valve has paused since the last one.
 """
 
 import math

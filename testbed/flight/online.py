@@ -12,9 +12,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
-from testbed.core.vehicle import Vehicle
+from testbed.core.vehicle import LOWEST_SHARE, Vehicle
 from testbed.flight.fired import Model
-from testbed.flight.plan import WEAKEST
 from testbed.flight.tracker import Gains
 
 SLOWLY_S = 10.0  # time constant with which a jet's assumed thrust follows its estimate [s]
@@ -75,7 +74,7 @@ def gas_used(p, used, tank_pressure, flowed, thrust_scale, period):
 def model_now(p, model, used, thrust_scale):
     """The estimator's model: a thrust that is a share of the file's acts like more mass."""
     mass = model.mass - used if p.mass else model.mass
-    share = max(WEAKEST, thrust_scale) if p.thrust else 1.0
+    share = max(LOWEST_SHARE, thrust_scale) if p.thrust else 1.0
     return Model(
         model.effect, model.com, mass / share, model.inertia / share, model.droop, model.drag,
         model.spin_drag, model.valve,

@@ -7,11 +7,8 @@ from msgspec.structs import replace
 
 from testbed.core.compiled import compiled
 from testbed.core.vehicle import Vehicle
-from testbed.flight.flow import ROUNDED
+from testbed.flight.flow import HAIR, ROUNDED
 from testbed.flight.modulation import PWPF, Modulator, ModulatorParams, modulator_of
-
-WEAKEST = 0.1  # lowest share of the thrust used for planning
-HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
 
 
 class Planner(NamedTuple):

@@ -8,14 +8,14 @@ from typing import NamedTuple
 from testbed.core.codes import InhibitReason, Response
 from testbed.core.compiled import compiled
 from testbed.core.se2 import length, to_body_compiled, to_table_compiled
-from testbed.flight.barrier import WORST_SHARE, guarded
+from testbed.core.vehicle import LOWEST_SHARE
+from testbed.flight.barrier import guarded
 from testbed.flight.record import NO_SETPOINT, record
 from testbed.flight.tracker import braking_wrench
 
 AT_REST = 0.003  # below this a vehicle is at rest: the accuracy of the estimate [m/s]
 NO_SPIN = 0.02  # [rad/s]
 SPARE_S = 0.5  # extra time of an ending after its longest brake [s]
-WEAKEST_SHARE = 0.1  # lowest share of the set pressure used for the time of a stop
 
 
 class Brakes(NamedTuple):
@@ -43,7 +43,7 @@ def filtered(limits, obstacles, period, row, neighbours, wrench, thrust_scale):
     fx, fy = to_table_compiled(theta, wrench[0], wrench[1])
     x, y, hazard, spare = guarded(
         row.inputs.effect_at, fx, fy, state.x, state.y, state.vx, state.vy, state.ax, state.ay,
-        obstacles, neighbours, limits, max(thrust_scale, WORST_SHARE),
+        obstacles, neighbours, limits, max(thrust_scale, LOWEST_SHARE),
     )  # fmt: skip
     outputs.hazard = hazard
     if hazard < 0:
@@ -84,7 +84,7 @@ def respond(p, gains, m, row, demanded, through, thrust_scale):
         return braking_wrench(gains, state, thrust_scale * p.decel), 0
     outputs.hazard = -1
     brakes = m.stopped == 0 and outputs.response == Response.BRAKE.value and state.known == 1
-    decel = max(thrust_scale, WEAKEST_SHARE) * p.decel
+    decel = max(thrust_scale, LOWEST_SHARE) * p.decel
     if brakes and not is_over(p, m, inputs.t, state, decel):
         outputs.braking = 1
         return braking_wrench(gains, state, thrust_scale * p.decel), 0

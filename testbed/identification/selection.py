@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 TIME_FOLDS = 6  # parts of the log by time; by region there are four
 ALWAYS = ("thrust", "delay", "slope")  # no table is level
 LEAST_GAIN = 0.0005  # of the error, relative
-NEEDED = 1.0  # the same, without a group over with it: the square error of unseen parts doubles
+NEEDED = 1.0  # least growth of unseen parts' square error without a group; 1: it doubles
 SURE = 2.0  # standard deviations
 
 

@@ -7,7 +7,8 @@
     /scene                   visualization_msgs/MarkerArray table, obstacles, vehicles; once
     /diagnostics             diagnostic_msgs/DiagnosticArray a vehicle's condition, when it changes
 
-They repeat what rows have, so they are sparse: EVERY_NS. The writer's process makes them.
+They repeat what rows have, so they are sparse: EVERY_NS. The writer's process makes them, except
+/scene, which the recorder writes once.
 
 The stamp in a header is the time at which the data are valid, as in ROS: an estimate is that of the
 time at which the tick's plan begins to push, and its wrench acts from then on. That is a command

@@ -93,6 +93,7 @@ class Recorder:
         warn_below, end_below: limits of free disk space [bytes].
         span_ns: time of the run per chunk.
         epoch_ns: time of the log, UTC, at time 0 of the run; may be set later, see `epoch_ns`.
+        scene: a MarkerArray to begin with, see extras.py; empty: none.
 
     Raises:
         RecorderError: on writing or leaving, if the writer failed.
@@ -164,7 +165,7 @@ class Recorder:
         if isinstance(message, FlownTick | FlownHostTick):
             if self._fast:
                 if not self._met:
-                    self.meet()
+                    self.wait_for_writer()
                 for one in self._rows.before(topic, t, message.fault):
                     self._block.add(t, one.topic, one)
                 self._block.add(t, topic, message)
@@ -192,7 +193,7 @@ class Recorder:
             RecorderError: see `write`.
         """
         if not self._met:
-            self.meet()
+            self.wait_for_writer()
         self._block.add_span(span, topic, later)
 
     def due_in(self, times: Sequence[float]) -> int:
@@ -211,7 +212,7 @@ class Recorder:
 
     def _append(self, pieces: Sequence[Piece]) -> None:
         if not self._met:
-            self.meet()
+            self.wait_for_writer()
         self._send(Messages([self._part(piece) for piece in pieces]))
 
     def _part(self, piece: Piece) -> One | Table:
@@ -235,7 +236,7 @@ class Recorder:
             self._send(Topic(topic, kind))
         return number
 
-    def meet(self) -> None:
+    def wait_for_writer(self) -> None:
         """Wait until the writer has created the file; from then on a kill loses little.
 
         Raises:

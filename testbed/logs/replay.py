@@ -123,7 +123,7 @@ def replay(
             now = type(then)(then.inputs, _known(agents, name, topic)(then.inputs))
         else:
             law = _known(hosts, name, topic)
-            now = law(then.inputs) if _was_armed(then) else then
+            now = law(then.inputs) if _is_repeated(then) else then
         chain = f"/{name}/host" if kind == "host" else f"/{name}/tick"  # the ending goes on with it
         tick = seen[chain] = seen.get(chain, -1) + 1
         count += 1
@@ -137,8 +137,12 @@ def replay(
     return Replay(count, first)
 
 
-def _was_armed(tick: HostTick) -> bool:
-    """Whether the law was called, which the log does not say: then it answered, or failed."""
+def _is_repeated(tick: HostTick) -> bool:
+    """Whether to run this tick again.
+
+    A host that is not armed does not call its law. The log does not say whether it was armed, but
+    a law that was called has given a setpoint or a fault.
+    """
     out = tick.outputs
     return tick.inputs.own is None or out.setpoint is not None or out.fault is not None
 

@@ -1,1 +1,1 @@
-"""Assembly of flight chain, twin and hardware; the only package that imports all others."""
+"""Assembly of flight chain, twin and hardware: which adapter is connected to what."""

@@ -28,6 +28,6 @@ def twin_checks(experiment: Experiment, twin: Twin) -> list[Check]:
         )  # fmt: skip
         found += arming_checks(ready, expected_of(experiment, name), experiment.arming)
     if experiment.table.lab.mocap.reference:
-        moved = twin.fleet()
+        moved = twin.lab_fault()
         found.append(Check("frame", "", "" if moved is None else moved.text))
     return found

@@ -52,7 +52,7 @@ from testbed.rig.live import LiveFlight
 from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
 
-WARM = 8  # ticks
+WARM = 8  # ticks of a warm-up flight
 LATER = 1e9  # never in a warm-up [s]
 
 
@@ -316,7 +316,7 @@ def make_twin(
         injections=experiment.inject,
     )
     if experiment.table.lab.mocap.reference:
-        twin.fleet = WatchedFrame(experiment, twin).fault
+        twin.lab_fault = WatchedFrame(experiment, twin).fault
     injector = twin.injector
     spoilt = {n: None if injector is None else partial(injector.spoilt, n) for n in setups}
     vehicles: list[TwinNode | VehicleNode | CrashableNode] = []
@@ -363,4 +363,4 @@ def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> N
         rig = make_twin(short)
         ending = rig.fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
         rig.come_to_rest(ending, NullObserver(), stopped)
-    characterise(np.eye(2))
+    characterise(np.eye(2))  # compiles the metrics of a formation

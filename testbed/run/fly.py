@@ -231,7 +231,7 @@ def _fly_and_judge(
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)
-                recorder.meet()  # before the flight, which would wait for the writer's start
+                recorder.wait_for_writer()  # else the flight waits for it
                 screen.flies()
                 metrics = _fly(rig, log, references, interrupt)
                 if log.trouble is not None:

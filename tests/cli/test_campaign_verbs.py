@@ -14,8 +14,8 @@ import psutil
 import pytest
 import tomli_w
 
-from testbed.campaign.benchmark import score
 from testbed.campaign import engine
+from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
 from testbed.campaign.flight import CampaignEnd, open_journal, replay_command
 from testbed.campaign.journal import JournalError

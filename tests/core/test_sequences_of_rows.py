@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from testbed.core.rows import PoseSamples, References
-from testbed.core.types import Accel, Pose, PoseSample, Reference, Twist
+from testbed.core.rows import SETPOINT_WIDTH, PoseSamples, References, is_finite, row_of_setpoint
+from testbed.core.types import Accel, Demand, Pose, PoseSample, Reference, Trajectory, Twist
 from testbed.logs.packing import getter
 
 POSES = tuple(PoseSample(0.1 * k, 1.0 + k, 2.0 + k, 3.0) for k in range(4))
@@ -63,3 +64,22 @@ def test_a_part_is_an_array_that_compiled_code_takes(kind, structs):
 def test_a_row_is_a_message_of_the_log(kind, structs):
     name = type(structs[0]).__name__
     assert kind.of(structs).rows[0].tolist() == list(getter(name)(structs[0]))
+
+
+@pytest.mark.parametrize("column", range(References.width))
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_every_number_of_the_newest_reference_must_be_finite(column, bad):
+    row = row_of_setpoint(Trajectory(References.of(AHEAD), 9.0))
+    assert is_finite(row)
+    row[-References.width + column] = bad
+    assert not is_finite(row)
+    row[-References.width + column] = 0.0
+    row[SETPOINT_WIDTH + 1] = bad  # an older one, which was checked when it was the newest
+    assert is_finite(row)
+
+
+@pytest.mark.parametrize("number", ["fx_w", "fy_w", "theta", "omega", "alpha"])
+def test_every_number_of_a_demand_must_be_finite(number):
+    demand = Demand(0.0, 1.0, 2.0, 0.1, 0.2, 0.3, 9.0)
+    assert is_finite(row_of_setpoint(demand))
+    assert not is_finite(row_of_setpoint(replace(demand, **{number: float("nan")})))

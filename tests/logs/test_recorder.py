@@ -71,7 +71,7 @@ def test_the_time_of_the_log_is_utc(tmp_path):
 def test_the_time_of_the_log_may_be_known_only_when_the_flight_begins(tmp_path):
     path, noon = tmp_path / "log.mcap", 1_800_000_000_000_000_000
     with Recorder(path, epoch_ns=noon - 8_000_000_000) as recorder:
-        recorder.meet()
+        recorder.wait_for_writer()
         recorder.epoch_ns = noon
         recorder.write("/truth", 0.5, truth(0.5))
     book = LogReader(path)

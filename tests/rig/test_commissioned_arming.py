@@ -25,7 +25,7 @@ def red(tmp_path, monkeypatch):
         ready = Readiness(0.0, state, 100.0, health, Vitals(), 0.0, True, {})
         answer = Ready(ready, config_id(experiment), BOARD)
         monkeypatch.setattr(preflight, "order", lambda *_: answer)
-        monkeypatch.setattr(preflight, "objection", lambda *_: "")
+        monkeypatch.setattr(preflight, "trial_error", lambda *_: "")
         checks = preflight.Preflight(experiment, None, None, lambda: 1e12, hardware=hardware)
         return {c.name: c.reason for c in checks.checks() if c.reason}
 

@@ -8,8 +8,8 @@ from msgspec.structs import replace
 
 from sim_twin.board import last_closing
 from sim_twin.fault_injection import FaultInjector
-from sim_twin.plant import FRICTION, GRAVITY
 from testbed.core.fault_injection import Injection
+from testbed.core.landing import GRAVITY
 from testbed.core.table import Obstacle
 from testbed.core.types import ALL_WELL, PoseSample
 from testbed.core.vehicle import Landing
@@ -110,15 +110,17 @@ def test_a_leak_takes_gas(plant):
     assert plant.used[0] == pytest.approx(0.02)
 
 
-def test_a_vehicle_without_air_stands(make_plant, make_vehicle):
-    plant = make_plant([make_vehicle()], [[0.0, 0.0, 0.0, 0.1, 0.0, 0.5]])
+@pytest.mark.parametrize("friction", [0.05, 0.1, 0.2])
+def test_a_vehicle_without_air_stands(make_plant, make_vehicle, friction):
+    vehicle = replace(make_vehicle(), landing=Landing(friction=friction))
+    plant = make_plant([vehicle], [[0.0, 0.0, 0.0, 0.1, 0.0, 0.5]])
     plant.stick(0, 0, True, 0.0, 10.0)
     assert plant.floats(0)
     plant.land(0)
     plant.advance(1.0)
     assert not plant.floats(0)
     assert plant.x[0, 3:].tolist() == [0.0, 0.0, 0.0]
-    assert plant.x[0, 0] == pytest.approx(0.1**2 / (2.0 * FRICTION * GRAVITY), rel=1e-9)
+    assert plant.x[0, 0] == pytest.approx(0.1**2 / (2.0 * friction * GRAVITY), rel=1e-9)
     assert plant.impulse[0] == 0.0
     assert plant.stands
 
@@ -137,7 +139,7 @@ def test_the_board_of_a_dead_process_lands_the_vehicle(make_plant, make_vehicle)
     advance(plant, injector(plant, fault("kill_process", 1.0)), 3.0)
     assert plant.landed[0] == pytest.approx(1.3)
     assert plant.stands
-    assert plant.x[0, 0] == pytest.approx(0.13 + 0.1**2 / (2.0 * FRICTION * GRAVITY), rel=1e-9)
+    assert plant.x[0, 0] == pytest.approx(0.13 + 0.1**2 / (2.0 * 0.1 * GRAVITY), rel=1e-9)
 
 
 def test_it_keeps_the_air_on_if_its_file_says_so_or_the_process_is_back_in_time(
@@ -248,10 +250,10 @@ def test_what_befalls_law_process_and_link(plant):
         assert broken.spoilt("0") == after
     broken = injector(plant, fault("kill_process"), fault("delay_link"), fault("lose_link"))
     assert not broken.dead("0")
-    assert broken.air("0") == (0.0, 0.0)
+    assert broken.radio("0") == (0.0, 0.0)
     broken.look(1.0)
     assert broken.dead("0")
-    assert broken.air("0") == (0.6, 1.0)
+    assert broken.radio("0") == (0.6, 1.0)
 
 
 @pytest.mark.parametrize(

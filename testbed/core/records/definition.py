@@ -3,7 +3,8 @@
 The text is that of a `.msg` file. The rules below make the bytes of a numpy record equal to CDR
 (XCDR1, little endian), so a record is a ROS 2 message without any conversion:
 
-* inside a message, fields stand in falling order of size; a message fills whole words of 8 bytes
+* inside a message, fields stand in falling order of alignment: records and 8-byte numbers, then
+  4, 2 and 1 byte; a message fills whole words of 8 bytes
 * spare bytes are named `reserved`
 * sequences come last, each after a `uint32` with the number of valid elements; their length in a
   record is a capacity, the same for all rows of a run

@@ -11,7 +11,7 @@ from sim_twin.radio import SILENCE, SIZE, Links, send
 from testbed.core.bundle import unpacked
 from testbed.core.codes import Response
 from testbed.core.compiled import compiled
-from testbed.core.rows import SETPOINT_WIDTH, References, States
+from testbed.core.rows import SETPOINT_WIDTH, References, States, is_finite
 from testbed.core.scratch import scratch
 from testbed.core.types import ALL_WELL
 from testbed.flight.record import NO_SETPOINT
@@ -224,8 +224,7 @@ def law_tick(ports, table, k, code, model, t, turn, now):
             return DECLINED, unchanged, False
     row = scratch(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
     changed = next_setpoint(code, model, table.states[k, :n], t, turn, row)
-    newest = row.shape[0] - REFERENCE_WIDTH
-    if not np.isfinite(row[newest + 1] + row[newest + 2]):
+    if not is_finite(row):
         return NOT_FINITE, changed, False
     full = send(ports.setpoints, ports.to, now, row)
     table.t[k] = now

@@ -173,7 +173,8 @@ def make_fleet(
     """The fleet of a flight; None: it must be flown tick by tick.
 
     That is so with injected faults, forks, laws on board, a radio of limited range and reference
-    bodies, and with a user's law, which may hang: a stop must not wait for 50 of its ticks.
+    bodies, and with a user's law, which may hang: a stop must not wait for 50 of its ticks. It is
+    also so without the compiler (NUMBA_DISABLE_JIT).
     """
     nodes = [one for one in vehicles if isinstance(one, TwinNode)]
     laws = [one for one in hosts if isinstance(one, TwinHost)]

@@ -1,6 +1,5 @@
 """A vehicle's law on the host of the twin, whose ticks stay rows of numbers."""
 
-import math
 from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 from sim_twin.twin import HOST, Twin
 from testbed.core.bundle import Bundle
 from testbed.core.compiled import with_fixed_types
-from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
+from testbed.core.rows import SETPOINT_WIDTH, References, States, is_finite, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_span import FlownHostRows
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
@@ -162,7 +161,7 @@ class TwinHost(ForkedHost):
         except Exception as error:  # after any exception of a law the vehicles are stopped
             self.fail(error)
             return super().tick(t, armed)
-        if not is_number(row):
+        if not is_finite(row):
             self.fail(None)
             return super().tick(t, armed)
         twin.setpoints.send(self._to, twin.now, row)
@@ -190,10 +189,3 @@ class TwinHost(ForkedHost):
         if numbers != self._who[0]:
             self._who = numbers, tuple(self._names[one] for one in vehicles.tolist())
         return self._who[1]
-
-
-def is_number(row: np.ndarray) -> bool:
-    """Whether a setpoint is finite; only the newest reference of a trajectory is checked."""
-    fx_or_x = 3 if len(row) == SETPOINT_WIDTH else 1 - References.width
-    one, other = row[fx_or_x : fx_or_x + 2].tolist()
-    return math.isfinite(one + other)

@@ -74,7 +74,7 @@ class TwinNode:
         return self._k
 
     def note_ticks(self, ticks: int, row: int, flags: list[float], openings: int) -> FlownRows:
-        """Note that ticks were flown, which ask for nothing, and perhaps one more, for `tick`.
+        """Record ticks that compiled code has flown; `tick` may have to return the last one.
 
         Args:
             ticks: how many.
@@ -146,7 +146,7 @@ class TwinNode:
         if self.pending:
             return self._tick(t, self._flags)
         twin, agent = self._twin, self._agent
-        if end or stay or fleet is not None or twin.fleet() is not None:
+        if end or stay or fleet is not None or twin.lab_fault() is not None:
             return self._node.tick(t, armed, fleet, end=end, stay=stay)
         self._look()
         while not self._receive(self._ports, self._rows, self._k, t, int(armed)):

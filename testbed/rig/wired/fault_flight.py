@@ -2,8 +2,9 @@
 
     python -m testbed.rig.wired.fault_flight EXPERIMENT.toml FOLDER
 
-It writes to FOLDER: start.json (the run's time 0 on the monotonic clock [ns]), the twin's
-report.json, each vehicle's report, and ending.json with the red checks if the host is not killed.
+It writes to FOLDER: start.json (the run's time 0 on the monotonic clock [ns], and the ids of its
+processes), the twin's report.json, each vehicle's report, and, if the host is not killed,
+ending.json (how it ended, the phase, the red checks).
 """
 
 import signal

@@ -59,7 +59,8 @@ class WireRig:
     Args:
         experiment: the experiment to fly.
         bench: start the twin and the vehicles here; else wait for those of the lab.
-        keep: folder for the twin's report; None: a temporary folder.
+        keep: file for the twin's report, beside which the vehicles' reports are written; None: a
+            file in a temporary folder.
         log: run folder; its disk must not be full.
         agree: asks the operator whether these vehicles may be armed; by default they may.
         latch: keeps a fault for the next run.

@@ -14,7 +14,7 @@ from testbed.net.session import NetworkError, ask
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.chain import expected_of
 from testbed.rig.commissioning import not_commissioned
-from testbed.rig.wired.trial_call import objection
+from testbed.rig.wired.trial_call import trial_error
 
 
 def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:
@@ -77,7 +77,7 @@ class Preflight:
         for name, (one, trip) in answered.items():
             law_error = ""
             if name not in self._sound and len(known) == len(self._experiment.vehicles):
-                law_error = objection(self._experiment, name, known)
+                law_error = trial_error(self._experiment, name, known)
                 if not law_error:
                     self._sound.add(name)
             others = {n: s for n, s in states.items() if n != name and s is not None}

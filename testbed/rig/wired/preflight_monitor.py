@@ -35,7 +35,7 @@ class PreflightMonitor:
         self, experiment: Experiment, name: str, source: MocapSource, thrusters: WiredThrusters,
         reader: Reader, foreign_keys: Sequence[Subscriber],
     ) -> None:  # fmt: skip
-        """Start; `strangers` receives keys that must be silent before the order to start."""
+        """Start. No message may arrive at `foreign_keys` before the order to start."""
         self._clock = WallClock(monotonic_ns())
         wire = experiment.table.lab.mocap
         self._poses = MocapPoses(source, wire, self._clock, name)

@@ -39,7 +39,7 @@ class ProcessFaults:
                 return one
         return None
 
-    def air(self, vehicle: str) -> tuple[float, float]:
+    def radio(self, vehicle: str) -> tuple[float, float]:
         """Extra delay [s] and probability of loss of messages to a vehicle now."""
         late, lost = self.found("delay_link", vehicle), self.found("lose_link", vehicle)
         return late.size if late else 0.0, lost.size if lost else 0.0

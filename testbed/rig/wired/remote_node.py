@@ -14,9 +14,13 @@ class RemoteNode:
     """
 
     def __init__(
-        self, name: str, jets: int, meet: Callable[[bool, FaultReport | None], None], lost_s: float
+        self,
+        name: str,
+        jets: int,
+        exchange: Callable[[bool, FaultReport | None], None],
+        lost_s: float,
     ) -> None:
-        self.name, self._meet, self._shut, self.lost_s = name, meet, (0,) * jets, lost_s
+        self.name, self._exchange, self._shut, self.lost_s = name, exchange, (0,) * jets, lost_s
         self.newest: Tick | None = None
         self.received_at = 0.0
         self.ended: Ended | None = None
@@ -27,7 +31,7 @@ class RemoteNode:
         end: bool = False, stay: bool = False,
     ) -> Tick:  # fmt: skip
         """The vehicle's newest tick, or a substitute with a fault if it is silent or has ended."""
-        self._meet(armed, fleet)
+        self._exchange(armed, fleet)
         tick = self._newest(t)
         self.fault = tick.outputs.fault
         return tick

@@ -3,6 +3,7 @@
 import msgspec
 
 from testbed.config import ConfigError, Experiment
+from testbed.core.spelling import counted
 from testbed.net.session import LARGEST
 from testbed.rig.firmware_boards import LOCKSTEP
 from testbed.rig.wired.process_faults import OF_PROCESSES
@@ -27,11 +28,11 @@ def check_wires(experiment: Experiment, *, bench: bool) -> None:
         expected = "no board on the table: its boards are the lab's"
         raise ConfigError("this rig", "board", expected, experiment.board)
     if experiment.forks:
-        expected = "no change in flight: only the twin's vehicles change"
-        raise ConfigError("this rig", "forks", expected, f"{len(experiment.forks)} forks")
+        expected = "no [[forks]] on bench and table: only the twin flies them"
+        raise ConfigError("this rig", "forks", expected, counted(len(experiment.forks), "fork"))
     if experiment.inject and not bench:
         expected = "no faults on the table: inject them on the twin or on the bench"
-        raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} faults")
+        raise ConfigError("this rig", "inject", expected, counted(len(experiment.inject), "fault"))
     for k, one in enumerate(experiment.inject):
         if one.at_s is None and one.kind in OF_PROCESSES:
             expected = f"`at_s`: on the bench {one.kind} needs a time"

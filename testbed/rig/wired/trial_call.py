@@ -11,7 +11,7 @@ from testbed.flight.loop import HostNode
 from testbed.rig.chain import make_barrier, make_guidance
 
 
-class Stage:
+class TrialLink:
     """A `HostLink` for a single trial call of a law; its output is dropped."""
 
     def __init__(self, own: State, others: dict[str, State]) -> None:
@@ -36,7 +36,7 @@ class Stage:
         """See `HostLink`."""
 
 
-def objection(
+def trial_error(
     experiment: Experiment, name: str, states: dict[str, State],
     spoilt: Callable[[], str] | None = None,
 ) -> str:  # fmt: skip
@@ -45,13 +45,13 @@ def objection(
     The host makes this call also for a law that will run on board. `spoilt`: see make_guidance.
     """
     now = {other: replace(state, t=0.0) for other, state in states.items()}
-    stage = Stage(now.pop(name), now)
+    link = TrialLink(now.pop(name), now)
     lead = lead_time(experiment.vehicles[name].model)
     try:
         guidance = make_guidance(experiment, name, spoilt)
     except Exception as error:  # a user's law may raise anything
         return f"{type(error).__name__}: {error}"
-    node = HostNode(name, guidance, stage, experiment.flight.jet_period_s, lead)
+    node = HostNode(name, guidance, link, experiment.flight.jet_period_s, lead)
     fault = node.tick(0.0).outputs.fault
     return "" if fault is None else fault.text
 
@@ -68,7 +68,7 @@ def compile_host(experiment: Experiment) -> None:
     }
     for name, state in states.items():
         spoilt = (lambda: "") if experiment.inject else None  # as in the flight
-        objection(experiment, name, states, spoilt)  # an error is told at the start
+        trial_error(experiment, name, states, spoilt)  # an error is told at the start
         others = {other: one for other, one in states.items() if other != name}
         at_rest = (state.pose.x, state.pose.y, 0.0, 0.0, 0.0, 0.0)
         if (barrier := make_barrier(experiment, name)) is not None:

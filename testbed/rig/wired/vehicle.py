@@ -192,7 +192,7 @@ class VehicleProcess:
         epoch = self.clock_of_host.to_own(start.epoch_ns)
         assert epoch is not None
         clock.epoch_ns, thrusters.epoch_us = epoch, epoch // 1000
-        wires, worse = experiment.table.lab, partial(self.process_faults.air, name)
+        wires, worse = experiment.table.lab, partial(self.process_faults.radio, name)
         party = Party(self.session, wires, start.session, clock, experiment.seed, name, worse)
         self.link = ZenohVehicleLink(party, experiment.vehicles)
         self.event = Publisher(self.session, self.keys.of(name, "event"))

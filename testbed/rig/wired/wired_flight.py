@@ -106,7 +106,7 @@ class HostFlight:
         self._board = LocalMessages()
         lost_s = max(LOST_S, LOST_TICKS * experiment.flight.jet_period_s)
         self._nodes = {
-            n: RemoteNode(n, len(experiment.vehicles[n].model.jets), self._meet, lost_s)
+            n: RemoteNode(n, len(experiment.vehicles[n].model.jets), self._exchange, lost_s)
             for n in self._names
         }
         states = host_states(party, self._names)
@@ -213,7 +213,7 @@ class HostFlight:
         received_until_pause = self._pause.began_s - silent.received_at < 0.5 * silent.lost_s
         return self._pause.blamed(fault) if received_until_pause else fault
 
-    def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
+    def _exchange(self, armed: bool, fleet: FaultReport | None) -> None:
         """Receive from all vehicles; the loop's data for them goes into the next lease."""
         self._armed, self._fleet = armed, fleet
         self._pause.turn_begins(self._party.clock.now)

@@ -1,4 +1,4 @@
-"""The vehicles that a law knows of at a tick."""
+"""The other vehicles that a law has heard of at a tick."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 from testbed.core.law import Neighbours
 
 
-class Company(NamedTuple):
-    """Vehicles that are heard, and may speak."""
+class HeardVehicles(NamedTuple):
+    """Vehicles whose states, and messages if the law needs them, have arrived."""
 
     names: tuple[str, ...]  # sorted
     order: NDArray[np.int64]  # their rows among the states heard
-    strangers: Neighbours  # them, without states
+    neighbours: Neighbours  # the same, before their states and messages are filled in
 
 
-def meet(
+def heard_vehicles(
     received: tuple[str, ...], spoke: tuple[str, ...], who: Mapping[str, int], distance: float,
     message_size: int,
-) -> Company:  # fmt: skip
-    """The company when the states of `received` and messages of `spoke` have arrived.
+) -> HeardVehicles:  # fmt: skip
+    """The vehicles heard when states of `received` and messages of `spoke` have arrived.
 
     Args:
         received: names, in the order of the states.
@@ -32,13 +32,13 @@ def meet(
     """
     names = tuple(sorted(set(received) & set(spoke) if message_size else received))
     order = np.array([received.index(one) for one in names], np.int64)
-    return Company(names, order, _strangers(names, who, distance, message_size))
+    return HeardVehicles(names, order, _without_states(names, who, distance, message_size))
 
 
-def _strangers(
+def _without_states(
     names: tuple[str, ...], who: Mapping[str, int], distance: float, message_size: int
 ) -> Neighbours:
-    """Neighbours without states: what is known before their first message."""
+    """Neighbours of which only the experiment is known; the rest is zero."""
     n, k = len(names), message_size
     return Neighbours(
         np.zeros((n, 2)),
