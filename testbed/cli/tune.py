@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
@@ -126,9 +126,10 @@ def _fleet(client: object, tuning: Tuning) -> WorkerPool[Task, FlownRun]:
     return WorkerPool(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
 
-def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResult:
+def compare(
+    tuning: Tuning, trials: Sequence[Trial], fly: Callable[[Sequence[Task]], Iterable[FlownRun]]
+) -> TuningResult:
     """Compare the best gains with the original ones, on seeds that the tuning did not use."""
-    assert callable(fly)
     best, file = best_of(trials), tuning.file
     seeds = range(file.seed + PROOF_SEEDS, file.seed + PROOF_SEEDS + file.proof)
     proof: list[Trial] = []

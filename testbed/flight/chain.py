@@ -129,42 +129,42 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
 
 @pasted
 def reconfigure(p, memory, row, k):
-    """Take the jet that row `k` of the fault table names out, or compensate for it, if possible.
+    """Fly on without the jet that row `k` of the fault table names, or with its leak, if possible.
 
-    Two bad jets in a flight mean a wrong vehicle file or wrong wires, and are not flown around. If
-    the doubt between a leak and a weak jet comes back without the jet in doubt, it is a leak, and
+    Two bad jets in a flight mean a wrong vehicle file or wrong wires, and are not flown around. A
+    jet may have been left out as weak although another one leaks: when another jet is named, the
+    first is used again. If a leak or a weak jet still explain the motion alike, it is the leak, and
     the vehicle flies on if the fault table says so of a valve stuck open.
     """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
-    suspected, named, t = m.jet_faults, memory.named, row.inputs.t
+    suspected, named, allowed = m.jet_faults, memory.named, True
     if reconfiguration.needs_no_probe(suspected, detector):
         return
-    found, doubted = reconfiguration.suspicion_of(suspected, detector), suspected.probed - 1
-    back = doubted >= 0 and doubted != found.jet
-    if back:
+    found = reconfiguration.suspicion_of(suspected, detector)
+    if reconfiguration.probes_another(suspected, found.jet):
         reconfiguration.take_back(suspected, fired, named)
-    gives, leaks, may = fired.gives.copy(), fired.leaks.copy(), True
-    if back and detector == reconfiguration.DOUBTFUL:
-        detector, may = reconfiguration.OPEN, reconfiguration.flies_with_a_leak(p.rows)
-        found = reconfiguration.suspicion_of(suspected, detector)
-    j, others = found.jet, 0
-    for i in range(named.shape[0]):
-        others += named[i] > 0.0 and i != j
-    guess = reconfiguration.is_a_guess(suspected, detector)
+        if detector == reconfiguration.DOUBTFUL:
+            detector, allowed = reconfiguration.OPEN, reconfiguration.flies_with_a_leak(p.rows)
+            found = reconfiguration.suspicion_of(suspected, detector)
+
+    j, guess = found.jet, reconfiguration.is_a_guess(suspected, detector)
+    gives, leaks = fired.gives.copy(), fired.leaks.copy()
     reconfiguration.change(fired.gives, fired.leaks, found, detector)
     force, torque = reconfiguration.room(p.jets.effect, fired.gives, fired.leaks)
-    if others == 0 and may and reconfiguration.suffices(p.whole, force, torque):
-        m.strength = min(1.0, force / p.whole.force)
-        suspected.probed, named[j] = (j + 1 if guess else 0), t
-        suspected.flies_open = int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
-        memory.carried.rest[j] = memory.carried.filter[j] = 0.0
-        reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
-        reconfiguration.restart(p.jets_known, suspected, memory.evidence, fired)
-        permanent.restart(m.permanent, memory.permanent)
+    alone = reconfiguration.others_at_fault(named, j) == 0
+    if not (allowed and alone and reconfiguration.suffices(p.whole, force, torque)):
+        fired.gives[:], fired.leaks[:] = gives, leaks
+        number = row.numbers[p.rows.detector[k]]
+        fault_monitor.refuse(p.rows, memory.counters, k, number, row.outputs)
         return
-    fired.gives[:], fired.leaks[:] = gives, leaks
-    number = row.numbers[p.rows.detector[k]]
-    fault_monitor.refuse(p.rows, memory.counters, k, number, row.outputs)
+
+    m.strength = min(1.0, force / p.whole.force)
+    suspected.probed, named[j] = (j + 1 if guess else 0), row.inputs.t
+    suspected.flies_open = int(fired.leaks.max() >= reconfiguration.WIDE_OPEN)
+    memory.carried.rest[j] = memory.carried.filter[j] = 0.0
+    reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
+    reconfiguration.restart(p.jets_known, suspected, memory.evidence, fired)
+    permanent.restart(m.permanent, memory.permanent)
 
 
 @pasted

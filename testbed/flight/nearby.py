@@ -8,13 +8,14 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from testbed.core.codes import Hazard
 from testbed.core.table import Obstacle
 from testbed.core.types import State
 
 NEAR = 0.05  # largest gap of a possible contact: errors, and the way back until it shows [m]
 RECENT = 3.0  # a contact explains a push for this long [s]
 
-EDGES = ("the right edge", "the left edge", "the upper edge", "the lower edge")
+EDGES = tuple(one.words for one in Hazard if Hazard.RIGHT_EDGE <= one <= Hazard.LOWER_EDGE)
 
 
 def place(state: State, t: float) -> tuple[float, float]:

@@ -89,9 +89,7 @@ def make_parameters(
         command_delay=vehicle.command_delay_s,
         gains=tracker.gains_of(flight.tracker, vehicle, period),
         filters=safe is not None,
-        limits=barrier.Limits(*[0.0] * len(barrier.Limits._fields))
-        if safe is None
-        else safe.limits,
+        limits=barrier.UNLIMITED if safe is None else safe.limits,
         obstacles=barrier.discs_of([]) if safe is None else safe.obstacles,
         # cameras without noise may repeat a pose exactly, for a vehicle at rest
         sensors=detectors.Sensors(

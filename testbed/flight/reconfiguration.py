@@ -166,6 +166,21 @@ def flies_with_a_leak(rows):
 
 
 @compiled
+def probes_another(suspected, jet):
+    """Whether a jet other than `jet` is left out on probation; `suspected` is jet_faults.MEMORY."""
+    return suspected.probed > 0 and suspected.probed - 1 != jet
+
+
+@compiled
+def others_at_fault(named, jet):
+    """Number of jets but `jet` that were found at fault; `named` has the times of it, 0: not."""
+    count = 0
+    for i in range(named.shape[0]):
+        count += named[i] > 0.0 and i != jet
+    return count
+
+
+@compiled
 def suffices(whole, force, torque):
     """Whether a vehicle with this force and torque flies on."""
     return force >= max(LEAST * whole.force, UPHILL * whole.slope) and (

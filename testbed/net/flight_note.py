@@ -104,8 +104,9 @@ def noted(
         endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where, rig
     )
     try:
-        note = _leave(json.dumps(flight._asdict()).encode())
-    except (OSError, NoteError) as error:
+        text = json.dumps(flight._asdict()).encode()
+        note = _in_first_folder(lambda note: write_atomic(note, text))
+    except OSError as error:
         note = None
         place = f" --connect {endpoint}" if endpoint else ": not on the twin, use Ctrl-C"
         warn(f"warning: no note for `testbed stop`: {error}; it needs{place}")
@@ -135,32 +136,23 @@ def own_note() -> Path:
     Raises:
         OSError: there is no place for it.
     """
+    return _in_first_folder(lambda note: None)
+
+
+def _in_first_folder(write: Callable[[Path], None]) -> Path:
+    """This process's note in the first folder where `write` succeeds."""
     trouble: Exception = NoteError("no folder for it")
     for folder, uid in _folders()[: len(_bases(os.getuid()))]:
+        note = folder / f"{os.getpid()}.json"
         try:
             folder.mkdir(mode=0o700, exist_ok=True)
             _check(folder, uid)
-        except (OSError, NoteError) as error:
-            trouble = error
-        else:
-            return folder / f"{os.getpid()}.json"
-    raise OSError(str(trouble))
-
-
-def _leave(text: bytes) -> Path:
-    """Write the note in the first folder that can be used."""
-    trouble: Exception = NoteError("no folder for it")
-    for folder, uid in _folders()[: len(_bases(os.getuid()))]:
-        try:
-            folder.mkdir(mode=0o700, exist_ok=True)
-            _check(folder, uid)
-            note = folder / f"{os.getpid()}.json"
-            write_atomic(note, text)
+            write(note)
         except (OSError, NoteError) as error:
             trouble = error
         else:
             return note
-    raise trouble
+    raise OSError(str(trouble))
 
 
 def _started(pid: int) -> str:

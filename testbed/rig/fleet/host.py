@@ -134,7 +134,7 @@ class TwinHost(ForkedHost):
         return FlownHostTick(table, k, self._names, float(table.own[k, 0]), guidance.filtered)
 
     def tick(self, t: float, armed: bool = True) -> AnyHostTick:
-        """See `HostNode`."""
+        """See `HostNode`, which flies all ticks that are not ordinary."""
         if (answer := self._answer) is not None:
             self._answer = None
             return self._answered(answer) or super().tick(t, armed)
@@ -144,27 +144,29 @@ class TwinHost(ForkedHost):
             return super().tick(t, armed)
         if self._k == len(self._table.t):
             self._new_table()
-        if (flown := self._compiled_tick(t)) is not None:
-            return flown
-        table, k, twin = self._table, self._k, self.twin
+        return self._compiled_tick(t) or self._python_tick(t) or super().tick(t, armed)
+
+    def _python_tick(self, t: float) -> AnyHostTick | None:
+        """A tick of a law that Python has to call; None if there is no setpoint."""
         count = self._receive()
         if count < 0:
-            return super().tick(t, armed)
-        own, guidance = table.own[k].tolist(), self.guidance
+            return None
+        table, k, guidance = self._table, self._k, self.guidance
+        own = table.own[k].tolist()
         words = self._link.messages() if guidance.message_size else {}
         if self._fault is not None:
-            return super().tick(t, armed)
+            return None
         self._known = table.vehicles[k, :count].copy()
         received = Received(self._names_of(self._known), table.states[k, :count], words)
         try:
             row = guidance.step_row(t + self._ahead, own, received)
         except Exception as error:  # after any exception of a law the vehicles are stopped
             self.fail(error)
-            return super().tick(t, armed)
+            return None
         if not is_finite(row):
             self.fail(None)
-            return super().tick(t, armed)
-        twin.setpoints.send(self._to, twin.now, row)
+            return None
+        self.twin.setpoints.send(self._to, self.twin.now, row)
         message, filtered = guidance.message, guidance.filtered
         if message is not None:
             self._link.broadcast(message)
@@ -172,16 +174,20 @@ class TwinHost(ForkedHost):
             states = states_of(table, k, count, self._names)
             inputs = HostInputs(t, States.struct(own), states, words)
             return HostTick(inputs, HostOutputs(t, setpoint_of(row), message, None, filtered))
+        return self._kept(t, row, count)
+
+    def _kept(self, t: float, row: np.ndarray, count: int) -> FlownHostTick:
+        """The tick with its setpoint in the table, beside what `_receive` has written there."""
         ahead = row[SETPOINT_WIDTH:].reshape(-1, References.width)
         if len(ahead) > self._room:
             self._room = 2 * len(ahead)
             self._new_table()
             count = self._receive()
-            table, k = self._table, 0
+        table, k = self._table, self._k
         table.t[k], table.setpoints[k] = t, row[:SETPOINT_WIDTH]
         table.references[k, : len(ahead)], table.counts[k] = ahead, (count, len(ahead))
         self._k = k + 1
-        return FlownHostTick(table, k, self._names, own[0], filtered)
+        return FlownHostTick(table, k, self._names, float(table.own[k, 0]), self.guidance.filtered)
 
     def _names_of(self, vehicles: np.ndarray) -> tuple[str, ...]:
         """Names of vehicles by number; those of the tick before are kept."""

@@ -106,7 +106,7 @@ class TableServer:
             )
             self._taps = {}
             for k, name in enumerate(self.names):
-                link = port_of(self.experiment, name, self._folder)
+                link = pty_path(self.experiment, name, self._folder)
                 limits = limits_of(self.models[name])
                 chip = self.experiment.board == "qemu"
                 self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link, chip=chip))
@@ -383,8 +383,8 @@ def _left_as(status: Status | None) -> tuple[str, list[str]]:
     return status.state.name, [fault.name or "" for fault in status.faults]
 
 
-def port_of(experiment: Experiment, name: str, folder: Path | None) -> Path:
-    """Path of a vehicle's serial port."""
+def pty_path(experiment: Experiment, name: str, folder: Path | None) -> Path:
+    """Where a simulated board's serial port appears: in `folder`, else at the lab's path."""
     here = f"serial-{name}"
     if folder is not None:
         return folder / here

@@ -24,7 +24,7 @@ from testbed.files import write_atomic
 from testbed.realtime.processes import orphaned, run_as_child
 from testbed.realtime.scheduling import no_garbage_collection, prefer_process, realtime_priority
 from testbed.rig.twin import warm_up
-from testbed.rig.wired.server import TableServer, port_of
+from testbed.rig.wired.server import TableServer, pty_path
 
 PRIORITY = 30  # the real table never waits
 FAILURES = (OSError, TapError, BoardError, CompilerError, LimitsError)
@@ -52,7 +52,7 @@ def serve(
         wire = experiment.table.lab.mocap
         notify(f"NatNet {wire.version} at {wire.server}, commands at {wire.command_port}")
         for vehicle in experiment.vehicles:
-            notify(f"{vehicle}: {port_of(experiment, vehicle, ports)}")
+            notify(f"{vehicle}: {pty_path(experiment, vehicle, ports)}")
         signal.signal(signal.SIGUSR1, lambda number, frame: server.cut_next())
         for pid in server.pids.values():  # a real chip never waits for a CPU
             prefer_process(pid, PRIORITY + 10)
