@@ -3,12 +3,14 @@
     role       publishes                   subscribes to              queries and answers
     host       everything: all other parties connect to it
     vehicle    its own state, message,     its setpoint; lease,       the host's clock, experiment;
-               and event; liveliness       stop, poses; states and    gives the host its ticket;
+               tick and event; liveliness  stop, poses; states and    gives the host its ticket;
                                            messages of other laws     answers orders and stop
     table      truth, poses
-    operator   stop                        all that is published      stop; the experiment
+    operator   stop                        all that is published      stop; the experiment;
+                                                                      vehicles that have ended
     watcher    nothing                     states, messages, ticks,   the host's experiment
-                                           events, truth, poses
+                                           events, truth, poses,
+                                           leases, liveliness
 
 The host drops everything else silently: Zenoh sends no answer to a party without rights. Rights
 belong to the certificate's common name, which is the role and the name.

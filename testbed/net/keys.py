@@ -5,7 +5,7 @@
     <lab>/<vehicle>/message    message of its law to the other laws     vehicle -> vehicles
     <lab>/<vehicle>/tick       inputs and outputs, for the log          vehicle -> host
     <lab>/<vehicle>/event      how its flight ended, and why            vehicle -> host
-    <lab>/<vehicle>/order      get: start or stop a flight              host -> vehicle
+    <lab>/<vehicle>/order      get: look, start, retune or stop         host -> vehicle
     <lab>/<vehicle>/roll       get: give the host the ticket for an order to start
     <lab>/<vehicle>/alive      liveliness token
     <lab>/table/truth          true poses of all vehicles; only from a twin

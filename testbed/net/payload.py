@@ -1,7 +1,7 @@
 """Bodies of messages on the network.
 
 A state, a setpoint or a law's message is a record as CDR: the same bytes as in the log and ROS 2.
-Messages with text (permits, ticks for the log, reports) are MessagePack.
+Messages with text (leases, ticks for the log, reports) are MessagePack.
 """
 
 from itertools import chain
