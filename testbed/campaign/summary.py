@@ -172,7 +172,7 @@ def short_reason(run: FlownRun) -> str:
     if run.fault is not None:
         return f"{run.outcome}: {' '.join(filter(None, (run.fault.vehicle, run.fault.title)))}"
     text = run.reason.strip().splitlines()[-1] if run.reason.strip() else run.outcome
-    words = ["#" if any(c.isdigit() for c in word) else word for word in text.split()]
+    words = ["..." if any(c.isdigit() for c in word) else word for word in text.split()]
     return f"{run.outcome}: {' '.join(words)}"[:120]
 
 

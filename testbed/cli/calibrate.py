@@ -21,9 +21,8 @@ from testbed.identification.cameras import latency_of, seen_in_flight
 from testbed.identification.columns import LogRefusedError, digest, read_columns, read_sources
 from testbed.identification.excite import design, write_commands
 from testbed.identification.link import link_of
-from testbed.identification.mapping import load_mapping
+from testbed.identification.mapping import check_valves, load_mapping
 from testbed.identification.motion import (
-    admitted,
     calibrate_motion,
     doubts_about,
 )
@@ -57,13 +56,41 @@ def refused(error: TestbedError, *, as_json: bool) -> int:
     return refuse(error, BAD_INPUT)
 
 
+def is_run(path: Path, mapping: str | None) -> bool:
+    """Whether a log is one of our runs, which needs no mapping."""
+    return path.is_dir() or (mapping is None and path.suffix.lower() == ".mcap")
+
+
+def check_outputs(*paths: Path | None) -> None:
+    """Check, before the work, that files can be written there.
+
+    Raises:
+        TestbedError: the folder of one is missing.
+    """
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            raise TestbedError(
+                where=str(path), expected="a file in a folder that exists",
+                found=f"no folder {path.parent}",
+            )  # fmt: skip
+
+
+def warn_of_second_use(vehicle: str, logs: Sequence[MotionLog]) -> None:
+    """Warn of logs that a vehicle file was fitted to: they would count twice."""
+    warn([
+        f"{log.where}: {vehicle} was fitted to this log already; its intervals will be too narrow."
+        " Begin with the file before that fit"
+        for log in logs if _knows(vehicle, log)
+    ])  # fmt: skip
+
+
 def read_logs(given: FlightLogs, progress: Callable[[str], None]) -> list[MotionLog]:
     """Read logs or run folders; rows outside the given time are marked as not whole."""
     paths, mapping, body, since, until = given
     logs = []
     for path in paths:
         progress(f"read {path}")
-        if path.is_dir() or (mapping is None and path.suffix.lower() == ".mcap"):
+        if is_run(path, mapping):
             log = read_run_log(path, body)
         elif mapping is None:
             raise TestbedError(
@@ -78,6 +105,11 @@ def read_logs(given: FlightLogs, progress: Callable[[str], None]) -> list[Motion
             whole &= log.t >= since
         if until is not None:
             whole &= log.t < until
+        if log.whole.any() and not whole.any():
+            raise TestbedError(
+                where=f"{path}, --from and --until", expected="a part of the log's flight",
+                found=f"flight from {log.t[log.whole][0]:.3f} to {log.t[log.whole][-1]:.3f} s",
+            )  # fmt: skip
         logs.append(log._replace(whole=whole))
     return logs
 
@@ -93,8 +125,11 @@ def motion(
 ) -> int:  # fmt: skip
     """Fit a vehicle and write its file, and the slope of the table."""
     try:
+        check_outputs(out, table_out)
+        check_valves(given.mapping, load_vehicle(vehicle))
         with Steps(screen_of_steps, silent=as_json) as progress:
             logs = read_logs(given, progress)
+            warn_of_second_use(vehicle, logs)
             found = calibrate_motion(
                 logs, load_vehicle(vehicle), others=vehicles_of(given.mapping), force=force,
                 progress=progress,
@@ -146,9 +181,11 @@ def check_against(
 ) -> int:  # fmt: skip
     """Predict logs and print how far off the twin is."""
     try:
+        check_outputs(out)
+        own = load_vehicle(vehicle)
+        check_valves(given.mapping, own)
         with Steps(screen_of_steps, silent=as_json) as progress:
             logs = read_logs(given, progress)
-            own = load_vehicle(vehicle)
             other = load_vehicle(against) if against else None
             surface = load_table(table) if table else None
             doubts = doubts_about(logs, own, vehicles_of(given.mapping), progress)
@@ -255,7 +292,7 @@ def mocap(
 ) -> int:  # fmt: skip
     """Latency from a marker on a known angle; or noise, axes and body offset from a flight."""
     try:
-        if mapping is None:
+        if mapping is None and not is_run(path, mapping):
             sources = read_sources(path, *columns)
             others = [name for name in sources if name != camera]
             if camera not in sources or len(others) != 1:
@@ -268,23 +305,28 @@ def mocap(
         else:
             if vehicle is None:
                 raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
+            own = load_vehicle(vehicle)
+            check_valves(mapping, own)
             with Steps(screen_of_steps, silent=as_json) as progress:
-                progress(f"read {path}")
-                log, own = read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
-                doubts = admitted([log], own, vehicles_of(mapping), progress, force=force)
-                progress("fit the cameras' numbers")
-                result = seen_in_flight(log, own)
+                (log,) = read_logs(FlightLogs([path], mapping, None, None, None), progress)
+                found = calibrate_motion(
+                    [log], own, others=vehicles_of(mapping), force=force, progress=progress
+                )
+            result = seen_in_flight(log, found)
             if not as_json:
-                warn([f"{one.name}: {one.text}" for one in doubts])
+                warn([f"{one.name}: {one.text}" for one in found.suspicions])
     except TestbedError as error:
         return refused(error, as_json=as_json)
     if as_json:
         print_json(result)
         return OK
     for name, value in result.items():
-        print_text(
-            screen, f"{name:<22} {value:.6g}" if isinstance(value, float) else f"{name:<22} {value}"
-        )
+        shown = f"{value:.6g}" if isinstance(value, float) else value
+        if isinstance(value, dict):
+            note = "" if value["identifiable"] else "  not identifiable from this log"
+            shown = f"{value['value']:.4g} {value['unit']}"
+            shown += f"  95 %: {value['low']:.4g} to {value['high']:.4g}{note}"
+        print_text(screen, f"{name:<22} {shown}")
     return OK
 
 
@@ -309,6 +351,7 @@ def excite(
 ) -> int:  # fmt: skip
     """Design an experiment and write its commands."""
     try:
+        check_outputs(out)
         own = load_vehicle(vehicle)
         gas = None if gas_g is None else 1e-3 * gas_g
         found = design(own, load_table(table), seconds, room, gas, period, seed)

@@ -1,5 +1,6 @@
 """`testbed campaign`: fly a sweep, store its runs and summarise them."""
 
+import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
@@ -32,7 +33,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import print_text, show
 from testbed.config import ConfigError
 from testbed.config.shipped import shipped
-from testbed.config.tree import trouble_at
+from testbed.config.tree import read_toml, trouble_at
 from testbed.core.extra import MissingExtraError
 from testbed.files import write_atomic
 from testbed.run.interrupt import Interrupt
@@ -50,6 +51,7 @@ def run_campaign(
     try:
         check_jobs(jobs, scheduler)
         path = find_campaign(name)
+        check_verb(path, tunes=False)
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             campaign = load_campaign(path)
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
@@ -84,6 +86,17 @@ def find_campaign(name: str) -> Path:
             hint = f"the shipped file is {known}"
         raise ConfigError(name, "", "a campaign file", trouble, hint)
     return path
+
+
+def check_verb(path: Path, *, tunes: bool) -> None:
+    """Refuse a campaign's file for a tuning, or a tuning's for a campaign."""
+    found = read_toml(path)
+    if tunes and {"grid", "draw"} & found.keys():
+        hint = f"testbed campaign {shlex.quote(str(path))}"
+        raise ConfigError(str(path), "", "a tuning file", "a campaign file", hint)
+    if not tunes and "gain" in found:
+        hint = f"testbed tune {shlex.quote(str(path))}"
+        raise ConfigError(str(path), "", "a campaign file", "a tuning file", hint)
 
 
 def say_interrupted(campaign: Campaign, folder: Path) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from testbed.cli.exit_code import FAILED, FAULT, OK
+from firmware_interface.limits import LimitsError, limits_of
+from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.poses import cameras
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import print_text
@@ -23,7 +24,7 @@ from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.error import TestbedError
 from testbed.net.session import NetworkError
 from testbed.rig.commissioning import record_of, save
-from testbed.run.folder import FolderError, new_folder
+from testbed.run.folder import FolderError, new_folder, take_back
 
 screen = Console(highlight=False)
 
@@ -40,7 +41,7 @@ def run_commission(
             agree = None if yes or not sys.stdin.isatty() else _may
             station, experiment = _station(experiment, names, rig, stack, agree)
             folder = new_folder(out, f"commission_{experiment.name}")
-        except (ConfigError, FolderError) as error:
+        except (ConfigError, FolderError, LimitsError) as error:
             return refuse(error)
         except (NetworkError, TestbedError, OSError) as error:
             return refuse(error, FAULT)
@@ -48,6 +49,10 @@ def run_commission(
             done = commission(experiment, station, _nothing if as_json else _print_verdict, names)
         except TestbedError as error:  # a board or a line failed
             return refuse(error, FAULT)
+        except KeyboardInterrupt:
+            print_text(errors, "interrupted: the vehicles are not commissioned", "yellow")
+            take_back(folder)
+            return INTERRUPTED
         write_report(folder, experiment, done, rig)
     good = [one for one in names if passed(done.verdicts, one)]
     if rig == "table":
@@ -73,6 +78,8 @@ def _chosen(experiment: Experiment, only: Sequence[str], rig: str, *, yes: bool)
         found = "--yes" if yes else "no terminal"
         expected = "a person at a terminal who watches the vehicle"
         raise ConfigError("command line", "--rig table", expected, found)
+    for one in only or experiment.vehicles:
+        limits_of(experiment.vehicles[one].model)  # a board can drive its jets
     return list(only or experiment.vehicles)
 
 

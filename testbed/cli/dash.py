@@ -20,6 +20,7 @@ from testbed.dashboard.viewer import (
     Kind,
     ViewerAddress,
     ViewerError,
+    check_display,
     free_port,
     listens,
     program,
@@ -139,6 +140,7 @@ def beside_run(
 ) -> "subprocess.Popen[bytes]":
     """Start the dashboard of a run that is about to fly, without waiting for it."""
     program()  # raises at once if the viewer is not installed
+    check_display(kind)
     words = [sys.executable, "-m", "testbed", "dash", str(folder), "--bind", bind]
     if port is not None:
         words += ["--port", str(port)]

@@ -129,7 +129,7 @@ def thrust(
 
 
 @calibrate.command()
-@click.argument("log", type=LOG)
+@click.argument("log", type=click.Path(exists=True, path_type=Path))
 @click.option("--time", default="t_s", show_default=True, help="Column of time [s].")
 @click.option("--value", default="angle_deg", show_default=True, help="Column of the angle.")
 @click.option("--source", default="source", show_default=True, help="Column of the source's name.")
@@ -145,7 +145,8 @@ def mocap(
 ) -> None:  # fmt: skip
     """Measure the cameras.
 
-    Latency from a marker on a known angle, or noise, axes and offset from a flight.
+    Latency from a marker on a known angle; or noise, axes and offset of the body from a flight,
+    which is a run folder, or a log with its --mapping.
     """
     from testbed.cli import calibrate as work
 

@@ -5,12 +5,14 @@ from typing import Any
 
 from testbed.cli.base_table import table_of
 from testbed.cli.calibrate import (
+    check_outputs,
     read_logs,
     refused,
     screen,
     screen_of_steps,
     today,
     vehicles_of,
+    warn_of_second_use,
 )
 from testbed.cli.exit_code import OK
 from testbed.cli.flight_logs import FlightLogs
@@ -19,8 +21,8 @@ from testbed.cli.screen import print_json, print_text
 from testbed.cli.steps import Steps
 from testbed.core.error import TestbedError
 from testbed.identification.calibration_file import save_with_map
-from testbed.identification.floor import flat_fit, learn_floor
-from testbed.identification.mapping import load_mapping
+from testbed.identification.floor import check_path, flat_fit, learn_floor
+from testbed.identification.mapping import check_valves, load_mapping
 from testbed.identification.motion import admitted
 from testbed.identification.slope_map import with_map, write_slope_page
 from testbed.identification.table_file import load_table, write_table
@@ -34,12 +36,16 @@ def floor(
 ) -> int:  # fmt: skip
     """Learn the slope map; write it as a table file, its vehicle and a page."""
     try:
+        check_outputs(out, vehicle_out, drawn)
+        own = load_vehicle(vehicle)
+        check_valves(given.mapping, own)
         with Steps(screen_of_steps, silent=as_json) as progress:
             logs = read_logs(given, progress)
-            own = load_vehicle(vehicle)
+            warn_of_second_use(vehicle, logs)
             base = load_table(table) if table or given.mapping else table_of(given.paths, None)
             named = load_mapping(given.mapping).table if given.mapping else None
             span = size or named or base.size
+            check_path(logs, span)
             doubts = admitted(logs, own, vehicles_of(given.mapping), progress, force=force)
             progress("learn the slope map")
             found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)

@@ -45,7 +45,10 @@ def _print(verdict: Replay) -> None:
         f"{first.tick}, t = {first.t:.3f} s, {first.topic}, {first.stage}"
     )
     size = "" if first.size is None else f", off by {first.size:.3g}"
-    out.print(f"  {first.field}: logged {first.logged!r}, now {first.now!r}{size}", markup=False)
+    out.print(
+        f"  {first.field}: logged {first.logged!r}, now {first.now!r}{size}",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip
 
 
 def fork_run(

@@ -76,9 +76,8 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
         pieces.append(f"nearest two vehicles: {separation:.2f} m")
     if metrics.real_time_factor:
         factor = metrics.real_time_factor
-        pieces.append(
-            f"{metrics.duration_s:.0f} s in {metrics.wall_s:.2f} s ({factor:.0f} x real time)"
-        )
+        times = f"{factor:.0f}" if factor >= 10.0 else f"{factor:.2g}"
+        pieces.append(f"{metrics.duration_s:.0f} s in {metrics.wall_s:.2f} s ({times} x real time)")
     out.print(", ".join(pieces))
     if together is not None and has_formation(experiment.controller):
         print_formation(out, together, experiment)
@@ -156,5 +155,6 @@ def _verdict(metrics: Metrics) -> str:
         return f"[bold red]failed[/]: {', '.join(failed)}"
     if not metrics.criteria:
         return f"[bold]{NOTHING_TO_JUDGE}[/]"
-    whose = "" if metrics.rig == "table" else " (a result of the twin, not of a table)"
+    simulator = {"twin": "twin", "bench": "bench, whose table is the twin"}.get(metrics.rig)
+    whose = f" (a result of the {simulator}, not of a table)" if simulator else ""
     return f"[bold green]passed[/]: all criteria met{whose}"

@@ -31,7 +31,7 @@ from testbed.campaign.tuning import (
     load_tuning,
     tune,
 )
-from testbed.cli.campaign import TROUBLE, find_campaign
+from testbed.cli.campaign import TROUBLE, check_verb, find_campaign
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import print_text, show
@@ -63,8 +63,10 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
     interrupt, result = Interrupt(), None
     try:
         check_jobs(jobs, scheduler)
+        path = find_campaign(name)
+        check_verb(path, tunes=True)
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
-            tuning = load_tuning(find_campaign(name))
+            tuning = load_tuning(path)
         folder = out or Path("runs") / f"tuning_{tuning.file.name}"
         make_folder(folder)
         with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
@@ -194,6 +196,9 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
             print_text(out, f"  {words}", "red")
         tuned = shlex.quote(str(folder / "tuned.toml"))
         out.print(f"  see one: testbed run {tuned} --seed SEED", markup=False, soft_wrap=True)
+    elif result.best_proof is not None and result.best_proof >= (result.start_proof or 0.0):
+        words = "no better than the original on other seeds: it fits its own; increase `samples`"
+        out.print(words, style="bold yellow")
     out.print(f"tuned experiment: {folder / 'tuned.toml'}", markup=False, soft_wrap=True)
 
 

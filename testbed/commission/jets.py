@@ -248,7 +248,8 @@ def _strengths(
         text = f"it slows down by {known + drag:.2f} 1/s, by the file {known:.2f} 1/s: a pad?"
         add("drag", text)
     if not verdicts:
-        text = f"each jet is its own; thrust {common:.0%} of the file's, delay {1e3 * late:+.0f} ms"
+        delay = f"{round(1e3 * late):+d} ms"
+        text = f"each jet is its own; thrust {common:.0%} of the file's, delay {delay}"
         verdicts.append(Verdict(STEP, name, text, numbers=numbers))
     return verdicts
 

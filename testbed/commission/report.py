@@ -48,7 +48,7 @@ def measured(vehicle: Vehicle, pulses: Sequence[Pulse]) -> tuple[Vehicle, dict[s
     late = float(np.median(found.delay))
     delay = max(0.0, vehicle.valve.open_delay_s + late)
     closes = max(0.0, vehicle.valve.close_delay_s + late)
-    notes["valve.open_delay_s"] = f"{1e3 * late:+.0f} ms beside the file"
+    notes["valve.open_delay_s"] = f"{round(1e3 * late):+d} ms beside the file"
     valve = replace(vehicle.valve, open_delay_s=delay, close_delay_s=closes)
     return replace(vehicle, jets=jets, valve=valve), notes
 

@@ -29,7 +29,9 @@ def abilities(experiment: Experiment, name: str) -> Iterator[str]:
     words = f"{jets}, {force:.2f} N per axis, {torque:.3g} N m, {force / model.mass:.2g} m/s^2"
     goes = setup.path is None and not has_formation(experiment.controller)
     if goes:
-        words += f", at least {quickest_s(experiment, setup):.3g} s from start to goal"
+        move, turn = quickest_s(experiment, setup)
+        words += f", at least {move:.3g} s to the place of the goal"
+        words += f" and {turn:.3g} s for the turn" if turn else ""
     yield words
     yield (
         f"  along x {along_x:.3g} N, along y {along_y:.3g} N, without a torque; in the weakest"

@@ -130,7 +130,7 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
 def _flight(experiment: Experiment, setup: VehicleSetup) -> Iterator[tuple[str, str]]:
     if setup.path is not None:
         return
-    needed = quickest_s(experiment, setup)
+    needed = max(quickest_s(experiment, setup))
     if needed > experiment.duration_s:
         yield (
             "too-short",
@@ -164,20 +164,21 @@ def _flight(experiment: Experiment, setup: VehicleSetup) -> Iterator[tuple[str, 
             )
 
 
-def quickest_s(experiment: Experiment, setup: VehicleSetup) -> float:
-    """Lower bound of the time from start to goal: full thrust both ways, and the turn [s]."""
+def quickest_s(experiment: Experiment, setup: VehicleSetup) -> tuple[float, float]:
+    """Shortest times [s]: to the place of the goal with full thrust both ways, and of the turn.
+
+    The turn is a quintic polynomial, as guidance plans it.
+    """
     params = experiment.guidance
     accel = params.force_share * weakest_force(setup.model) / setup.model.mass
     move = 2.0 * math.sqrt(math.dist(setup.start[:2], setup.goal[:2]) / accel)
     angle = abs(wrap(setup.goal[2] - setup.start[2]))
-    # a quintic polynomial, as guidance plans it
-    turn = math.sqrt(10.0 / math.sqrt(3.0) * angle / params.heading_accel)
-    return max(move, turn)
+    return move, math.sqrt(10.0 / math.sqrt(3.0) * angle / params.heading_accel)
 
 
 def gas_to_goal(experiment: Experiment, setup: VehicleSetup) -> float:
     """Gas for speeding up, slowing down and floating on the way to the goal [kg]."""
-    model, time = setup.model, quickest_s(experiment, setup)
+    model, time = setup.model, max(quickest_s(experiment, setup))
     way = math.dist(setup.start[:2], setup.goal[:2])
     speed = min(experiment.flight.barrier.max_speed, 2.0 * way / time if time else 0.0)
     return 2.0 * model.mass * speed / model.air.exhaust_speed + time * model.air.bearing_flow

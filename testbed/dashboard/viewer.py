@@ -89,13 +89,18 @@ def command(kind: Kind, address: ViewerAddress, files: Sequence[Path] = ()) -> l
             return [*words, "--window-size", "1600x1000", "--hide-welcome-screen"]
 
 
+def check_display(kind: str) -> None:
+    """Raise a ViewerError if a window has no display to open on."""
+    if kind == "window" and sys.platform.startswith("linux"):
+        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise ViewerError("no display for a window; try --web")
+
+
 def start(
     kind: Kind, address: ViewerAddress, files: Sequence[Path] = ()
 ) -> "subprocess.Popen[bytes]":
     """Start a viewer; its output is discarded."""
-    if kind == "window" and sys.platform.startswith("linux"):
-        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise ViewerError("no display for a window; try --web")
+    check_display(kind)
     viewer = subprocess.Popen(
         command(kind, address, files),
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

@@ -10,15 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError
-from testbed.identification.estimate import fit
-from testbed.identification.model import VehicleModel
+from testbed.identification.motion import Calibration, identifiable, interval
 from testbed.identification.motion_log import MotionLog
-from testbed.identification.prediction import Valves
 from testbed.identification.suspicion import look_at
 from testbed.identification.validation import noise_of_poses
-from testbed.identification.windows import tiled
 
 Array = NDArray[np.float64]
 LONGEST = 1.0  # [s] latency
@@ -102,21 +98,28 @@ def _known(t: Array, values: Array) -> tuple[Array, Array]:
     return t[known], values[known]
 
 
-def seen_in_flight(log: MotionLog, vehicle: Vehicle) -> dict[str, Any]:
-    """Noise of a pose, what the axes look like, and the centre of mass in the cameras' body."""
-    look = look_at([log], vehicle)
+def seen_in_flight(log: MotionLog, found: Calibration) -> dict[str, Any]:
+    """Noise of a pose, what the axes look like, and the centre of mass in the cameras' body.
+
+    Args:
+        log: a flight.
+        found: the calibration of its vehicle from this log. Single jets are fitted there, too:
+            with equal jets their differences look like a centre of mass somewhere else.
+    """
+    look = look_at([log], found.model.vehicle)
     position, heading = noise_of_poses([log])
-    model = VehicleModel(vehicle, valves=isinstance(log.inputs, Valves))
-    windows = [tiled(log, 2.5)]
-    found = fit(model, windows, ["thrust", "delay", "inertia", "com"])
-    at = [model.index(axis) for axis in ("com_x", "com_y")]
-    identifiable = bool(np.all(found.sigma[at] < 0.6 * model.sigma[at]))
+    names = {"delay": "command_to_pose", "com_x": "body_offset_x", "com_y": "body_offset_y"}
+    rows = {}
+    for own, name in names.items():
+        k, sense = found.model.index(own), 1.0 if own == "delay" else -1.0
+        ends = [sense * one for one in interval(found, k)]
+        rows[name] = {
+            "value": sense * float(found.estimate.p[k]) + 0.0, "low": min(ends), "high": max(ends),
+            "unit": found.model.parameters[k].unit, "identifiable": identifiable(found, k),
+        }  # fmt: skip
     return {
         "noise_m": position, "noise_deg": float(np.degrees(heading)),
         "axes": look.other or "as the mapping says",
         "explained_by_commands": float(look.plain),
-        "command_to_pose_s": float(look.delay),
-        "body_offset_x_m": float(-found.p[at[0]]), "body_offset_y_m": float(-found.p[at[1]]),
-        "body_offset_sigma_m": float(np.max(found.sigma[at])),
-        "body_offset_identifiable": identifiable,
+        **rows,
     }  # fmt: skip

@@ -65,7 +65,8 @@ def design(
         raise TestbedError(
             where="excite", expected=f"an experiment within {room:g} m and {1e3 * most:g} g of gas",
             found=f"at best {least.reach:.2f} m and {1e3 * least.gas:.1f} g in {seconds:g} s",
-            hint="a shorter experiment, or more room",
+            hint="a shorter experiment" + ", or more room" * (least.reach > room)
+            + ", or more gas" * (least.gas > most),
         )  # fmt: skip
     return max(allowed, key=lambda one: one.information)
 

@@ -18,6 +18,7 @@ from testbed.identification.linearised import Pieces, normal
 from testbed.identification.model import VehicleModel
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves
+from testbed.identification.refused import LogRefusedError
 from testbed.identification.suspicion import look_at
 from testbed.identification.windows import Windows, first_guess, tiled
 
@@ -28,6 +29,7 @@ REACH = 0.25  # correlation length, of the table's shorter side; 0.1 to 0.4 pred
 STEEPNESS = 0.02  # [m/s^2] standard deviation of the prior
 FLAT = 0.1  # of it: part that differs from node to node
 TURNS = 5
+OFF_TABLE = 0.01  # share of poses beside the table that a log may have
 GAIN_SIGMA = 0.5  # of mass or thrust: propellers and valves give less than on a stand
 DELAY_SIGMA = 0.05  # [s]
 
@@ -43,6 +45,25 @@ class Floor(NamedTuple):
     model: VehicleModel
     free: NDArray[np.int64]  # positions of those that were fitted
     covariance: Array  # of these
+
+
+def check_path(logs: Sequence[MotionLog], size: Sequence[float]) -> None:
+    """Check that the poses are on the table; `size` is its [m].
+
+    Raises:
+        LogRefusedError: more than some single poses are beside it.
+    """
+    for log in logs:
+        where = log.pose[log.whole, :2]
+        outside = np.abs(where) > 0.5 * np.asarray(size)
+        if outside.any(axis=1).mean() > OFF_TABLE:
+            far = where[np.argmax(np.max(np.abs(where), axis=1))]
+            raise LogRefusedError(
+                where=log.where,
+                expected=f"a path on the table of {size[0]:g} m x {size[1]:g} m around its middle",
+                found=f"a pose at ({far[0]:.2f}, {far[1]:.2f}) m",
+                hint="see `middle` of [pose] and `table` of the mapping, or --size",
+            )
 
 
 def learn_floor(

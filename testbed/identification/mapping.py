@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from testbed.config.error import ConfigError, did_you_mean
+from testbed.config.error import ConfigError, did_you_mean, show
 from testbed.config.key import spell
 from testbed.config.number import bad_numbers
 from testbed.config.shipped import SHIPPED
 from testbed.config.tree import read_toml, trouble_at
 from testbed.config.validation import first_violation
-from testbed.core.vehicle import NonNegative, Point, Positive
+from testbed.core.vehicle import NonNegative, Point, Positive, Vehicle
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -97,7 +97,24 @@ def load_mapping(name: str) -> Mapping:
     if (mapping.pose.theta is None) == (mapping.pose.quaternion is None):
         found = "both" if mapping.pose.theta else "neither"
         raise ConfigError(str(path), "pose.theta", "either theta or quaternion", found)
+    used = [mapping.time.column, mapping.pose.x, mapping.pose.y, *(mapping.pose.quaternion or ())]
+    used += [mapping.pose.theta] if mapping.pose.theta else []
+    used += mapping.valves.columns if mapping.valves else []
+    if twice := [name for k, name in enumerate(used) if name in used[:k]]:
+        raise ConfigError(str(path), "", "each column once", f"{show(twice[0])} twice")
     return mapping
+
+
+def check_valves(name: str | None, vehicle: Vehicle) -> None:
+    """Check that a mapping has a valve column for each jet of the vehicle.
+
+    Raises:
+        ConfigError: it has fewer or more.
+    """
+    valves = load_mapping(name).valves if name else None
+    if name and valves and len(valves.columns) != len(vehicle.jets):
+        expected = f"{len(vehicle.jets)} columns, in the order of the vehicle's jets"
+        raise ConfigError(name, "valves.columns", expected, str(len(valves.columns)))
 
 
 def named_file(name: str, folder: str, what: str) -> Path:

@@ -1,5 +1,6 @@
 """`testbed calibrate motion`: from logs of free flight to a vehicle file."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ IDENTIFIABLE = (
 EARLY = 1e-3  # [s] before the command: a delay that is warned of
 LATE = 0.08  # [s] later than in the file: the same
 SURE = 1.96  # standard deviations of a 95 % interval
+COMMON = 0.1  # how well a file knows what all jets share, such as the supply pressure [assumed]
 
 
 class Calibration(NamedTuple):
@@ -320,12 +322,24 @@ def _merged(model: VehicleModel, rough: Estimate) -> Array:
 
 
 def identifiable(calibration: Calibration, k: int) -> bool:
-    """Whether the logs tell the number `k` of the model."""
+    """Whether the logs tell the number `k` of the model, better than the vehicle file does."""
     c = calibration
-    told = k in c.wide.free and k not in c.held
+    told = k in c.wide.free and k not in c.held and not _file_knows_better(c, k)
     always = c.model.parameters[k].group in ("slope", "droop")  # a fit needs these
     far = c.wide.sigma[k] if always else reach(c, k)
     return bool(told and far < IDENTIFIABLE * c.model.sigma[k])
+
+
+def _file_knows_better(c: Calibration, k: int) -> bool:
+    """Whether the file states a number more closely than the logs, which do not contradict it."""
+    stated, off = c.vehicle.tolerance, abs(c.wide.p[k] - c.model.parameters[k].value)
+    push = max(COMMON, math.hypot(stated.mass, stated.thrust))
+    known = {
+        "thrust": push, "mass": push, "inertia": stated.inertia, "com_x": stated.com,
+        "com_y": stated.com,
+    }  # fmt: skip
+    far = reach(c, k)
+    return far > known.get(c.model.parameters[k].name, math.inf) and off < SURE * far
 
 
 def reach(calibration: Calibration, k: int) -> float:
@@ -363,12 +377,13 @@ def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
         value = float(nominal * c.model.thrust(c.estimate.p)[j])
         far = SURE * sigma * nominal
         found = c.jets[j]
+        vague = sigma > c.vehicle.tolerance.thrust and abs(value - nominal) < far
         rows.append({
             "jet": j + 1, "thrust_n": value, "low_n": max(0.0, value - far),
             "high_n": value + far, "file_n": nominal, "state": found.state,
             "exchanged_with": found.other + 1 if found.other >= 0 else None,
             "identifiable": found.state in ("dead", "weak")
-            or bool(found.state != "not excited" and sigma < IDENTIFIABLE * own),
+            or bool(found.state != "not excited" and sigma < IDENTIFIABLE * own and not vague),
             "fitted": 1 + j in c.estimate.free, "kept": bool(value == nominal),
         })  # fmt: skip
     return rows

@@ -157,10 +157,10 @@ def validate(
     logs: Sequence[MotionLog], vehicle: Vehicle, against: Vehicle | None,
     table: Table | None = None,
 ) -> tuple[dict[str, Any], dict[str, list[HorizonErrors]]]:  # fmt: skip
-    """All figures for --json, and the errors for the page."""
+    """All figures for --json, and the errors for the page; both vehicles are on the same table."""
     errors = {"vehicle": [errors_ahead(logs, vehicle, h, table) for h in HORIZONS]}
     if against is not None:
-        errors["against"] = [errors_ahead(logs, against, h) for h in HORIZONS]
+        errors["against"] = [errors_ahead(logs, against, h, table) for h in HORIZONS]
     of = {
         who: {f"{one.horizon:g}": one.figures() for one in found} for who, found in errors.items()
     }

@@ -447,6 +447,15 @@ def test_refused_workers_leave_no_folder(testbed, here, monkeypatch, verb):
     assert not (here / "runs").exists()
 
 
+@pytest.mark.parametrize(("verb", "other"), [("campaign", "tune"), ("tune", "campaign")])
+def test_the_other_verb_s_file_is_named(testbed, here, verb, other):
+    (here / "tune.toml").write_text(TUNING)
+    name = "try.toml" if verb == "tune" else "tune.toml"
+    result = testbed(verb, name)
+    assert result.exit_code == 2
+    assert f"hint      testbed {other} {name}" in result.stderr
+
+
 @pytest.mark.parametrize("verb", ["campaign", "tune"])
 def test_a_file_where_the_folder_should_be(testbed, here, verb):
     if verb == "tune":

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from msgspec import to_builtins
 from msgspec.structs import replace
 
 from testbed.config import find, load
@@ -32,6 +33,19 @@ def test_what_is_refused(testbed, here, words, said):
     result = testbed("commission", "hold", *words)
     assert result.exit_code == 2
     assert said in result.output
+    assert not list(here.iterdir())
+
+
+def test_more_jets_than_a_board_drives_are_refused(testbed, here):
+    experiment = load(find("hold"))
+    jets = [to_builtins(jet) for jet in experiment.vehicles["sat1"].model.jets]
+    words = ", ".join(
+        f"{{position = {list(jet['position'])}, push = {list(jet['push'])}, thrust = 0.3}}"
+        for jet in [*jets, jets[0]]
+    )
+    result = testbed("commission", "hold", f"vehicles.sat1.model.jets=[{words}]", "--yes")
+    assert result.exit_code == 2, result.output
+    assert "expected  1 to 8 jets" in result.stderr
     assert not list(here.iterdir())
 
 

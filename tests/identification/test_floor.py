@@ -57,3 +57,18 @@ def test_what_motion_refuses_is_refused(files, tmp_path, verb):
     if verb == "mocap":
         result = CliRunner().invoke(main, [str(word) for word in [*words, "--force"]])
         assert result.exit_code == 0
+
+
+@pytest.mark.parametrize("middle", [(2.0, 0.0), (0.0, -20.0)])
+def test_a_path_beside_the_table_is_refused(files, tmp_path, middle):
+    mapping, log, _ = files
+    moved, out = tmp_path / "moved.toml", tmp_path / "table.toml"
+    text = mapping.read_text().replace("[pose]\n", f"[pose]\nmiddle = {list(middle)}\n")
+    moved.write_text(text)
+    words = ["calibrate", "floor", log, "--mapping", moved, "--vehicle", "generic_8jet"]
+    words += ["--size", 3.0, 3.0, "--out", out]
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 2
+    assert "expected  a path on the table of 3 m x 3 m" in result.stderr
+    assert "see `middle`" in result.stderr
+    assert not out.exists()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from msgspec.structs import replace
 
 from testbed.config import ConfigError, find, load
 from testbed.core.codes import FaultId
@@ -161,6 +162,16 @@ def test_poses_may_come_on_the_network():
 def test_a_board_that_this_rig_cannot_have_is_refused(bench, board, words):
     with pytest.raises(ConfigError, match=words):
         WireRig(load(find("hold"), [f"board={board}"]), bench=bench)
+
+
+@pytest.mark.parametrize("bench", [True, False])
+def test_more_jets_than_a_board_drives_are_refused(bench):
+    experiment = load(find("hold"))
+    setup = experiment.vehicles["sat1"]
+    more = replace(setup.model, jets=(*setup.model.jets, setup.model.jets[0]))
+    nine = replace(experiment, vehicles={"sat1": replace(setup, model=more)})
+    with pytest.raises(ConfigError, match="at most 8 jets"):
+        WireRig(nine, bench=bench)
 
 
 def test_a_twin_has_no_board_in_real_time():

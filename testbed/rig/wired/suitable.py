@@ -2,6 +2,7 @@
 
 import msgspec
 
+from firmware_interface.messages import VALVES
 from testbed.config import ConfigError, Experiment
 from testbed.core.spelling import counted
 from testbed.net.session import LARGEST
@@ -27,6 +28,11 @@ def check_wires(experiment: Experiment, *, bench: bool) -> None:
     if not bench and experiment.board != "model":
         expected = "no board on the table: its boards are the lab's"
         raise ConfigError("this rig", "board", expected, experiment.board)
+    for name, setup in experiment.vehicles.items():
+        jets, wires = len(setup.model.jets), experiment.table.lab.thrusters
+        if jets > VALVES and (bench or wires.system == "serial"):
+            expected = f"at most {VALVES} jets, the outputs of a board; the twin flies more"
+            raise ConfigError("this rig", f"vehicles.{name}.model.jets", expected, f"{jets}")
     if experiment.forks:
         expected = "no [[forks]] on bench and table: only the twin flies them"
         raise ConfigError("this rig", "forks", expected, counted(len(experiment.forks), "fork"))
