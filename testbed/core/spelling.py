@@ -4,7 +4,6 @@ import difflib
 from collections.abc import Iterable
 
 LONGEST = 72  # characters of a name that are compared
-ALIKE = 0.7  # share of characters in common from which a name is meant: x_m is not y_m
 
 
 def counted(count: int, noun: str) -> str:
@@ -14,5 +13,5 @@ def counted(count: int, noun: str) -> str:
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A hint at the nearest known name, or nothing."""
-    close = difflib.get_close_matches(name[:LONGEST], list(known), n=1, cutoff=ALIKE)
+    close = difflib.get_close_matches(name[:LONGEST], list(known), n=1)
     return f" (did you mean `{close[0]}`?)" if close else ""

@@ -79,7 +79,11 @@ def used_s(log: MotionLog) -> float:
 def span(log: MotionLog) -> str:
     """The part of a log that was used, in words."""
     t = log.t[log.whole]
-    return f"{used_s(log):.1f} s of t = {t[0]:.3f} to {t[-1]:.3f} s" if len(t) else "nothing"
+    return (
+        f"{used_s(log):.1f} s of t = {round(t[0], 3):.15g} to {round(t[-1], 3):.15g} s"
+        if len(t)
+        else "nothing"
+    )
 
 
 def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: date) -> None:

@@ -29,7 +29,7 @@ IDENTIFIABLE = (
 EARLY = 1e-3  # [s] before the command: a delay that is warned of
 LATE = 0.08  # [s] later than in the file: the same
 SURE = 1.96  # standard deviations of a 95 % interval
-COMMON = 0.1  # how well a file knows what all jets share, such as the supply pressure [assumed]
+CLEARLY = 2.0  # times its tolerance: from this uncertainty of the logs on, the file knows better
 
 
 class Calibration(NamedTuple):
@@ -331,15 +331,16 @@ def identifiable(calibration: Calibration, k: int) -> bool:
 
 
 def _file_knows_better(c: Calibration, k: int) -> bool:
-    """Whether the file states a number more closely than the logs, which do not contradict it."""
+    """Whether the file states a number far more closely than the logs, and they allow its value."""
     stated, off = c.vehicle.tolerance, abs(c.wide.p[k] - c.model.parameters[k].value)
-    push = max(COMMON, math.hypot(stated.mass, stated.thrust))
+    push = math.hypot(stated.mass, stated.thrust)
     known = {
         "thrust": push, "mass": push, "inertia": stated.inertia, "com_x": stated.com,
         "com_y": stated.com,
     }  # fmt: skip
     far = reach(c, k)
-    return far > known.get(c.model.parameters[k].name, math.inf) and off < SURE * far
+    known_far = known.get(c.model.parameters[k].name, math.inf)
+    return far > CLEARLY * known_far and off < SURE * far
 
 
 def reach(calibration: Calibration, k: int) -> float:
@@ -377,7 +378,7 @@ def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
         value = float(nominal * c.model.thrust(c.estimate.p)[j])
         far = SURE * sigma * nominal
         found = c.jets[j]
-        vague = sigma > c.vehicle.tolerance.thrust and abs(value - nominal) < far
+        vague = sigma > CLEARLY * c.vehicle.tolerance.thrust and abs(value - nominal) < far
         rows.append({
             "jet": j + 1, "thrust_n": value, "low_n": max(0.0, value - far),
             "high_n": value + far, "file_n": nominal, "state": found.state,

@@ -123,8 +123,8 @@ def gaps(t: Array) -> list[str]:
     usual = float(np.median(step))
     found = np.flatnonzero(step > PAUSE * usual)
     notes = [
-        f"gap: {step[k]:.3g} s without rows after t = {t[k]:.3f} s (or the clock jumped);"
-        " nothing is fitted across it"
+        f"gap: {step[k]:.3g} s without rows after t = {round(t[k], 3):.15g} s"
+        " (or the clock jumped); nothing is fitted across it"
         for k in found[:5]
     ]
     if len(found) > 5:

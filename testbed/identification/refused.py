@@ -8,6 +8,7 @@ from testbed.core.spelling import did_you_mean
 
 Array = NDArray[np.float64]
 MOST = 60  # names of columns in a message
+SHORT = 3  # names of so many characters are often alike: who asks for y_m does not mean x_m
 
 
 class LogRefusedError(TestbedError):
@@ -22,10 +23,11 @@ class NumericColumns(dict[str, Array]):
         self.where = where
 
     def __missing__(self, name: str) -> Array:
+        hint = did_you_mean(name, list(self)) if len(name) > SHORT else ""
         raise LogRefusedError(
             where=self.where,
             expected=f"a column {name!r}, named by the mapping or an option",
-            found=f"no such column{did_you_mean(name, list(self))}",
+            found=f"no such column{hint}",
             hint=f"the columns are: {', '.join(list(self)[:MOST])}" + " ..." * (len(self) > MOST),
         )
 

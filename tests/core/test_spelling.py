@@ -11,7 +11,6 @@ from testbed.core.spelling import did_you_mean
         ("sat3", " (did you mean `sat1`?)"),
         ("x_mm", " (did you mean `x_m`?)"),
         ("zhang", " (did you mean `zhang2023`?)"),
-        ("y_m", ""),  # a column of its own, which is missing
         ("q", ""),
     ],
 )

@@ -34,13 +34,13 @@ def sparse_log(floater):
 def test_a_file_that_knows_a_number_better_keeps_it(sparse_log, floater):
     found = calibrate_motion([sparse_log], floater)
     for row, jet in zip(thrusts(found), floater.jets, strict=True):
-        wide = row["high_n"] - row["low_n"] > 2 * 1.96 * floater.tolerance.thrust * jet.thrust
+        wide = row["high_n"] - row["low_n"] > 4 * 1.96 * floater.tolerance.thrust * jet.thrust
         if wide and row["low_n"] < jet.thrust < row["high_n"]:
             assert not row["identifiable"]
     for name, known in (("inertia", floater.tolerance.inertia), ("com_x", floater.tolerance.com)):
         k = found.model.index(name)
         far = found.wide.sigma[k]
-        assert far < known or not identifiable(found, k)
+        assert far < 2 * known or not identifiable(found, k)
 
 
 def test_a_file_that_the_log_contradicts_does_not(flight, floater):
