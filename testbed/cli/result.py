@@ -147,6 +147,8 @@ def _verdict(metrics: Metrics) -> str:
         return f"[bold yellow]{escape(report.text)}[/] after {metrics.duration_s:.1f} s: not judged"
     if metrics.fault:
         why, end, found = escape(metrics.fault), metrics.duration_s, metrics.fault_t
+        if report is not None and report.id == FaultId.PROCESS_ENDED:  # nothing tells when
+            return f"[bold red]aborted[/] by a fault, the log ends at {end:.1f} s: {why}"
         at = f" at {found:.1f} s" if found is not None and end - found >= STOP_TOOK else ""
         return f"[bold red]aborted[/] after {end:.1f} s by a fault{at}: {why}"
     if not metrics.completed:
