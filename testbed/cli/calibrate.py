@@ -287,8 +287,8 @@ def thrust(paths: Sequence[Path], columns: tuple[str, str, str], unit: str, as_j
 
 
 def mocap(
-    path: Path, mapping: str | None, vehicle: str | None, columns: tuple[str, str, str],
-    camera: str, *, force: bool, as_json: bool,
+    path: Path, mapping: str | None, body: str | None, vehicle: str | None,
+    columns: tuple[str, str, str], camera: str, *, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Latency from a marker on a known angle; or noise, axes and body offset from a flight."""
     try:
@@ -308,7 +308,7 @@ def mocap(
             own = load_vehicle(vehicle)
             check_valves(mapping, own)
             with Steps(screen_of_steps, silent=as_json) as progress:
-                (log,) = read_logs(FlightLogs([path], mapping, None, None, None), progress)
+                (log,) = read_logs(FlightLogs([path], mapping, body, None, None), progress)
                 found = calibrate_motion(
                     [log], own, others=vehicles_of(mapping), force=force, progress=progress
                 )

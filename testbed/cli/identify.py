@@ -135,13 +135,14 @@ def thrust(
 @click.option("--source", default="source", show_default=True, help="Column of the source's name.")
 @click.option("--camera", default="camera", show_default=True, help="Name of the camera there.")
 @click.option("--mapping", help="Noise, axes and body offset from a flight: its mapping.")
+@click.option("--body", help="Which vehicle of a run folder.  [default: the only one]")
 @click.option("--vehicle", help="The vehicle of that flight.")
 @click.option("--force", is_flag=True, help="Measure in spite of a suspicion about that flight.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 @click.pass_context
 def mocap(
     context: click.Context, log: Path, time: str, value: str, source: str, camera: str,
-    mapping: str | None, vehicle: str | None, as_json: bool, force: bool,
+    mapping: str | None, body: str | None, vehicle: str | None, as_json: bool, force: bool,
 ) -> None:  # fmt: skip
     """Measure the cameras.
 
@@ -151,7 +152,9 @@ def mocap(
     from testbed.cli import calibrate as work
 
     columns = (source, time, value)
-    context.exit(work.mocap(log, mapping, vehicle, columns, camera, force=force, as_json=as_json))
+    context.exit(work.mocap(
+        log, mapping, body, vehicle, columns, camera, force=force, as_json=as_json,
+    ))  # fmt: skip
 
 
 @calibrate.command()

@@ -97,11 +97,8 @@ def load_mapping(name: str) -> Mapping:
     if (mapping.pose.theta is None) == (mapping.pose.quaternion is None):
         found = "both" if mapping.pose.theta else "neither"
         raise ConfigError(str(path), "pose.theta", "either theta or quaternion", found)
-    used = [
-        mapping.time.column,
-        mapping.pose.x,
-        mapping.pose.y,
-    ]  # a quaternion in the plane may repeat
+    # a quaternion may name one twice: in the plane two of its numbers are zero
+    used = [mapping.time.column, mapping.pose.x, mapping.pose.y]
     used += [mapping.pose.theta] if mapping.pose.theta else []
     used += mapping.valves.columns if mapping.valves else []
     if twice := [name for k, name in enumerate(used) if name in used[:k]]:

@@ -332,15 +332,13 @@ def identifiable(calibration: Calibration, k: int) -> bool:
 
 def _file_knows_better(c: Calibration, k: int) -> bool:
     """Whether the file states a number far more closely than the logs, and they allow its value."""
-    stated, off = c.vehicle.tolerance, abs(c.wide.p[k] - c.model.parameters[k].value)
-    push = math.hypot(stated.mass, stated.thrust)
-    known = {
-        "thrust": push, "mass": push, "inertia": stated.inertia, "com_x": stated.com,
-        "com_y": stated.com,
-    }  # fmt: skip
-    far = reach(c, k)
-    known_far = known.get(c.model.parameters[k].name, math.inf)
-    return far > CLEARLY * known_far and off < SURE * far
+    tolerance, number, far = c.vehicle.tolerance, c.model.parameters[k], reach(c, k)
+    push = math.hypot(tolerance.mass, tolerance.thrust)
+    stated = {
+        "thrust": push, "mass": push, "inertia": tolerance.inertia, "com_x": tolerance.com,
+        "com_y": tolerance.com,
+    }.get(number.name, math.inf)  # fmt: skip
+    return far > CLEARLY * stated and abs(c.wide.p[k] - number.value) < SURE * far
 
 
 def reach(calibration: Calibration, k: int) -> float:

@@ -8,7 +8,7 @@ from testbed.core.spelling import did_you_mean
 
 Array = NDArray[np.float64]
 MOST = 60  # names of columns in a message
-SHORT = 3  # names of so many characters are often alike: who asks for y_m does not mean x_m
+SHORT = 3  # names of so many characters are alike by chance: y_m does not mean x_m
 
 
 class LogRefusedError(TestbedError):

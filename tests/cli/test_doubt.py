@@ -169,9 +169,7 @@ def test_a_forgotten_jet_is_missed_by_its_direction(testbed, tmp_path, lost):
     assert result.exit_code == 0
     assert f"7 jets, 0.6 N {WAYS[lost]} but 1.2 N" in result.stderr
     assert f"is a jet {WAYS[lost]} missing?" in result.stderr
-    assert (
-        "  sat1: 7 jets, 0.60 N per axis, 0.108 N m, 0.048 m/s^2, at least" in result.stdout
-    )
+    assert "  sat1: 7 jets, 0.60 N per axis, 0.108 N m, 0.048 m/s^2, at least" in result.stdout
 
 
 @pytest.mark.parametrize("name", ["uky", "spot_black", "freeflyer"])
