@@ -1,7 +1,9 @@
 """Read-only verbs: `check`, `list`, `schema`."""
 
+import re
 import sys
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, get_args
 
@@ -97,12 +99,27 @@ def print_defaults(given: Experiment, out: Console) -> None:
 
 
 def _first_comment(path: Path) -> str:
-    line = path.read_text(encoding="utf-8").partition("\n")[0]
-    return line.removeprefix("#").strip()
+    """The first sentence of the comment at the head of a file."""
+    lines = takewhile(lambda line: line[:1] == "#", path.read_text(encoding="utf-8").splitlines())
+    whole = " ".join(line.removeprefix("#").strip() for line in lines)
+    return re.split(r"(?<=[a-z0-9)])\.(?= |$)", whole, maxsplit=1)[0]
+
+
+def _first_comments(kind: str) -> dict[str, str]:
+    return {
+        path.stem: _first_comment(path)
+        for path in sorted((SHIPPED / kind).glob("*.toml"))
+        if not path.is_symlink()  # a link is an old name
+    }
+
+
+def _path_from_here(path: Path) -> str:
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
 
 def list_everything(as_json: bool) -> None:
-    """Print shipped experiments, laws and vehicles."""
+    """Print shipped experiments, laws, vehicles, tables, and scenarios with their paths."""
     experiments = {
         path.stem: str(read_toml(path).get("description", ""))
         for path in sorted((SHIPPED / "experiments").glob("*.toml"))
@@ -113,12 +130,16 @@ def list_everything(as_json: bool) -> None:
         )[0]
         for kind in get_args(catalogue.Controller)
     }
-    vehicles = {
-        p.stem: _first_comment(p)
-        for p in sorted((SHIPPED / "vehicles").glob("*.toml"))
-        if not p.is_symlink()
-    }  # a link is an old name
-    everything = {"experiments": experiments, "laws": laws, "vehicles": vehicles}
+    everything = {
+        "experiments": experiments,
+        "laws": laws,
+        "vehicles": _first_comments("vehicles"),
+        "tables": _first_comments("tables"),
+        "scenarios": {
+            _path_from_here(path): _first_comment(path)
+            for path in sorted((SHIPPED / "scenarios").glob("*.toml"))
+        },
+    }
     if as_json:
         print_json(everything)
         return
@@ -127,7 +148,8 @@ def list_everything(as_json: bool) -> None:
         grid = Grid.grid(padding=(0, 3))
         for name, line in entries.items():
             grid.add_row(f"  [bold]{name}[/]", line)
-        out.print(f"{title}", style="bold cyan")
+        by_path = ", by their paths" if title == "scenarios" else ""
+        out.print(f"{title}{by_path}", style="bold cyan")
         show(out, grid)
 
 

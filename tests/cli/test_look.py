@@ -56,6 +56,8 @@ def test_list_as_json(testbed):
     everything = json.loads(testbed("list", "--json").stdout)
     assert list(everything["experiments"]) == [path.stem for path in EXPERIMENTS]
     assert set(everything["laws"]) >= {"sotsmc", "smc", "pd"}
+    assert everything["tables"].keys() >= {"marble_6m", "rough_6m"}
+    assert all(load(path) for path in map(Path, everything["scenarios"]))
     assert all(line for kind in everything.values() for line in kind.values())
 
 
