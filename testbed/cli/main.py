@@ -159,7 +159,7 @@ def check(
 @main.command(name="list")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def list_all(as_json: bool) -> None:
-    """List experiments, laws, vehicles, tables and scenarios, one line each."""
+    """List experiments, laws, vehicles, tables, scenarios."""
     from testbed.cli.inspection import list_everything
 
     list_everything(as_json)

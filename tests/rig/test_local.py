@@ -9,7 +9,7 @@ from testbed.cli.main import BAD_INPUT, main
 from testbed.config import find, load
 from testbed.core.lab import Lab
 from testbed.rig.wired.local import local, loopback
-from testbed.rig.wired.server import TableServer, port_of
+from testbed.rig.wired.server import TableServer, pty_path
 
 LAB = [
     "table.lab.mocap={server='192.168.1.10', interface='192.168.1.3', group='239.255.42.99'}",
@@ -38,9 +38,9 @@ def test_a_bench_keeps_the_keys_and_takes_free_ports(in_a_lab, tmp_path):
 
 
 def test_the_folder_that_was_asked_for_is_where_the_ports_appear(in_a_lab, tmp_path):
-    assert port_of(in_a_lab, "sat1", None) == Path("/dev/ttyACM0")
-    assert port_of(in_a_lab, "sat1", tmp_path) == tmp_path / "serial-sat1"
-    assert port_of(load(find("hold")), "sat1", None) == Path("serial-sat1")
+    assert pty_path(in_a_lab, "sat1", None) == Path("/dev/ttyACM0")
+    assert pty_path(in_a_lab, "sat1", tmp_path) == tmp_path / "serial-sat1"
+    assert pty_path(load(find("hold")), "sat1", None) == Path("serial-sat1")
 
 
 def test_a_twin_of_a_lab_makes_its_port_there_and_listens_here(in_a_lab, tmp_path):

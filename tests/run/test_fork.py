@@ -339,7 +339,7 @@ def test_the_command_forks(run, tmp_path, monkeypatch, capsys):
 
 
 def test_only_vehicles_on_the_twin_change_in_flight(run):
-    with pytest.raises(ConfigError, match="only the twin's vehicles change"):
+    with pytest.raises(ConfigError, match="only the twin flies them"):
         WireRig(replace(run.experiment, forks=[Fork(1.0)]), bench=True)
 
 

@@ -76,13 +76,12 @@ def test_a_log_that_is_cut_off_in_a_copy_is_not_whole(copy):
     page = (copy / "report.html").read_text()
     assert " log.mcap is cut off at " in page
     assert str(copy) not in page
-    assert "this copy is cut off" in call("log", copy).stdout
 
 
 def test_a_log_without_metrics_may_still_be_flown(copy):
     cut(copy, 0.5)
     (copy / "metrics.json").unlink()
-    assert "its writer was killed or is still running" in call("log", copy).stdout
+    assert "its writer was killed, or it is still being flown" in call("log", copy).stderr
     assert "has no end" in call("replay", copy).stderr
 
 
