@@ -23,7 +23,7 @@ from typing import NamedTuple
 from testbed.core.codes import Response
 from testbed.core.records import cdr
 from testbed.core.records import standard as _standard  # noqa: F401  (fills MESSAGES)
-from testbed.logs.packing import form, leaves
+from testbed.logs.packing import form, leaves, only
 
 RESPONSES = {one.value: one.name.lower() for one in Response}
 EVERY_NS = 500_000_000  # of the run
@@ -31,6 +31,10 @@ SELDOM_NS = 5_000_000_000  # between two pressures
 TABLE = "table"  # frame of the table
 OK, WARN, ERROR = 0, 1, 2  # levels of a diagnosis
 BARE = struct.Struct("<4s" + form("Tick"))
+# of each tick only these are unpacked
+CONDITION = only(
+    "Tick", "outputs.fault", "outputs.inhibit", "outputs.response", "outputs.state_known"
+)
 PLACE = {name: k + 1 for k, name in enumerate(leaves("Tick"))}
 
 
@@ -40,6 +44,26 @@ class Extra(NamedTuple):
     topic: str
     kind: str
     data: bytes
+
+
+class Forms(NamedTuple):
+    """The layouts of a vehicle's messages, in which only numbers change."""
+
+    pose: cdr.Form
+    wrench: cdr.Form
+    transform: cdr.Form
+    supply: cdr.Form
+
+
+def forms_of(name: str) -> Forms:
+    """The layouts for a vehicle."""
+    moved = {"header": {"frame_id": TABLE}, "child_frame_id": name}
+    return Forms(
+        cdr.Form(POSE_KIND, {"header": {"frame_id": TABLE}}),
+        cdr.Form(WRENCH_KIND, {"header": {"frame_id": name}}),
+        cdr.Form(TF_KIND, {"transforms": [moved]}),
+        cdr.Form(SUPPLY_KIND, {"header": {"frame_id": name}}),
+    )
 
 
 class Extras:
@@ -52,48 +76,42 @@ class Extras:
     def __init__(self, every_ns: int = EVERY_NS) -> None:
         self.epoch, self._every = 0, every_ns  # the first: UTC at time 0 of the run [ns]
         self._due: dict[str, int] = {}  # next message by topic [ns]
-        self._state: dict[str, tuple[int, ...]] = {}  # condition in the newest diagnosis
+        self._state: dict[str, list[int]] = {}  # condition in the newest diagnosis
+        self._forms: dict[str, Forms] = {}  # by vehicle
 
     def of(self, topic: str, kind: str, stamp: int, data: bytes) -> Iterator[Extra]:
         """Messages to add after a row."""
         if kind != "Tick" or not topic.endswith("/tick"):
             return
         name = topic.split("/")[1]
-        values = BARE.unpack_from(data)
-        yield from self._diagnosis(name, stamp, values)
-        if stamp < self._due.get(topic, 0) or not values[KNOWN]:
+        *state, known = CONDITION.unpack_from(data)
+        if self._state.get(name) != state:
+            self._state[name] = state
+            yield self._diagnosis(name, stamp, *state)
+        if stamp < self._due.get(topic, 0) or not known:
             return
         self._due[topic] = stamp + self._every - self._every // 100  # times of ticks are rounded
-        valid = stamp + round(1e9 * (values[VALID] - values[NOW]))
-        header = self._header(valid, TABLE)
+        values = BARE.unpack_from(data)
+        forms = self._forms.get(name) or self._forms.setdefault(name, forms_of(name))
+        valid = self._utc(stamp + round(1e9 * (values[VALID] - values[NOW])))
         x, y, theta = values[POSE : POSE + 3]
-        turn = {"z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}
-        pose = {"position": {"x": x, "y": y}, "orientation": turn}
-        stamped = {"header": header, "pose": pose}
-        yield Extra(f"/{name}/pose", POSE_KIND, cdr.encode(POSE_KIND, stamped))
+        place = x, y, 0.0, 0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta)
         fx, fy, tau = values[WRENCH : WRENCH + 3]
-        wrench = {"force": {"x": fx, "y": fy}, "torque": {"z": tau}}
-        stamped = {"header": self._header(valid, name), "wrench": wrench}
-        yield Extra(f"/{name}/wrench", WRENCH_KIND, cdr.encode(WRENCH_KIND, stamped))
-        move = {"translation": {"x": x, "y": y}, "rotation": turn}
-        moved = {"header": header, "child_frame_id": name, "transform": move}
-        yield Extra("/tf", TF_KIND, cdr.encode(TF_KIND, {"transforms": [moved]}))
+        yield Extra(f"/{name}/pose", POSE_KIND, forms.pose.pack(*valid, *place))
+        wrench = fx, fy, 0.0, 0.0, 0.0, tau
+        yield Extra(f"/{name}/wrench", WRENCH_KIND, forms.wrench.pack(*valid, *wrench))
+        yield Extra("/tf", TF_KIND, forms.transform.pack(*valid, *place))
 
         if stamp >= self._due.get(f"{topic}/slow", 0):
             self._due[f"{topic}/slow"] = stamp + SELDOM_NS - SELDOM_NS // 100
-            supply = {"header": self._header(stamp, name), "fluid_pressure": values[SUPPLY]}
-            yield Extra(f"/{name}/supply", SUPPLY_KIND, cdr.encode(SUPPLY_KIND, supply))
+            supply = forms.supply.pack(*self._utc(stamp), values[SUPPLY], 0.0)
+            yield Extra(f"/{name}/supply", SUPPLY_KIND, supply)
 
-    def _header(self, stamp: int, frame: str) -> cdr.Message:
-        sec, nanosec = divmod(self.epoch + stamp, 10**9)
-        return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame}
+    def _utc(self, stamp: int) -> tuple[int, int]:
+        """A time of the run in UTC: s, ns."""
+        return divmod(self.epoch + stamp, 10**9)
 
-    def _diagnosis(self, name: str, stamp: int, values: tuple[float, ...]) -> Iterator[Extra]:
-        response, fault, inhibit = (int(values[k]) for k in (RESPONSE, FAULT, INHIBIT))
-        state = response, fault, inhibit
-        if self._state.get(name) == state:
-            return
-        self._state[name] = state
+    def _diagnosis(self, name: str, stamp: int, fault: int, inhibit: int, response: int) -> Extra:
         level = ERROR if fault or response > Response.HOLD else WARN if response else OK
         codes = {"response": response, "fault": fault, "inhibit": inhibit}
         status = {
@@ -101,8 +119,10 @@ class Extras:
             "message": RESPONSES[response],
             "values": [{"key": key, "value": str(value)} for key, value in codes.items()],
         }  # fmt: skip
-        array = {"header": self._header(stamp, ""), "status": [status]}
-        yield Extra("/diagnostics", DIAGNOSIS, cdr.encode(DIAGNOSIS, array))
+        sec, nanosec = self._utc(stamp)
+        header = {"stamp": {"sec": sec, "nanosec": nanosec}}
+        array = {"header": header, "status": [status]}
+        return Extra("/diagnostics", DIAGNOSIS, cdr.encode(DIAGNOSIS, array))
 
 
 POSE_KIND, WRENCH_KIND = "geometry_msgs/PoseStamped", "geometry_msgs/WrenchStamped"
@@ -111,5 +131,3 @@ DIAGNOSIS = "diagnostic_msgs/DiagnosticArray"
 POSE, WRENCH = PLACE["outputs.state.pose.x"], PLACE["outputs.commanded_wrench.fx"]
 NOW, VALID = PLACE["outputs.t"], PLACE["outputs.state.t"]
 SUPPLY = PLACE["inputs.health.supply_pressure"]
-RESPONSE, FAULT = PLACE["outputs.response"], PLACE["outputs.fault"]
-INHIBIT, KNOWN = PLACE["outputs.inhibit"], PLACE["outputs.state_known"]

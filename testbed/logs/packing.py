@@ -3,6 +3,7 @@
 Used for rows that are made from structs. Compiled code writes its rows itself.
 """
 
+import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
@@ -48,6 +49,16 @@ def leaves(kind: str, prefix: str = "") -> Iterator[str]:
             yield from (f"{prefix}{one.name}{k}" for k in several or [""])
         elif one.kind in MESSAGES:
             yield from leaves(one.kind, f"{prefix}{one.name}.")
+
+
+def only(kind: str, *names: str) -> struct.Struct:
+    """Unpacks only these numbers from the bytes of a record, with its header; in its order."""
+    codes, name = ["4x"], leaves(kind)
+    for code in re.findall(r"\d+x|[^\dx]", form(kind)):
+        is_spare = code.endswith("x")
+        kept = is_spare or next(name) in names
+        codes.append(code if kept else f"{struct.calcsize(code)}x")
+    return struct.Struct("<" + "".join(codes))
 
 
 def getter(kind: str) -> Callable[[Any], tuple[Any, ...]]:

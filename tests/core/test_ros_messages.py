@@ -1,5 +1,6 @@
 """Messages for ROS 2: the shipped package, the page of reference, and other people's readers."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from testbed.core.records.definition import DTYPES, MESSAGES, parse
 from testbed.core.records.kinds import EventKind
 from testbed.core.records.layout import Layout
 from testbed.core.records.type_hash import type_hash
+from testbed.logs.packing import form, leaves, only
 from testbed.logs.row_reader import fault_of
 from testbed.logs.tick_row import event_of
 
@@ -177,3 +179,26 @@ def test_a_row_is_read_by_name(name: str) -> None:
         assert found[f"{part.field.name}_valid"] == 2
         assert len(found[part.field.name]) == 3
     assert name in DTYPES
+
+
+def test_a_form_packs_other_numbers_beside_the_same_texts() -> None:
+    kind, header = "geometry_msgs/WrenchStamped", {"frame_id": "sat12"}
+    form = cdr.Form(kind, {"header": header})
+    for numbers in ((7, 8, 0.5, -1.0, 0.0, 0.0, 0.0, 2.5), (1, 2, *range(6))):
+        sec, nanosec, fx, fy, fz, tx, ty, tz = numbers
+        stamp = {"sec": sec, "nanosec": nanosec}
+        wrench = {
+            "force": {"x": fx, "y": fy, "z": fz}, "torque": {"x": tx, "y": ty, "z": tz},
+        }  # fmt: skip
+        message = {"header": header | {"stamp": stamp}, "wrench": wrench}
+        assert form.pack(*numbers) == cdr.encode(kind, message)
+    with pytest.raises(ValueError, match="argument 2 is shorter"):
+        form.pack(1, 2)
+
+
+def test_only_some_numbers_of_a_record_are_unpacked() -> None:
+    size = struct.calcsize("<4x" + form("Tick"))
+    data = bytes(k % 120 for k in range(size))
+    every = dict(zip(leaves("Tick"), struct.unpack_from("<4x" + form("Tick"), data), strict=True))
+    for names in (("outputs.fault", "outputs.response"), ("inputs.t",), tuple(leaves("Tick"))):
+        assert only("Tick", *names).unpack_from(data) == tuple(every[one] for one in names)

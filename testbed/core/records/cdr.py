@@ -22,35 +22,60 @@ class CdrError(ValueError):
 
 def encode(name: str, message: Message) -> bytes:
     """The bytes of a message; a field that is left out is zero or empty."""
-    out = bytearray()
-    _write(MESSAGES[name], message, out)
-    return HEADER + bytes(out)
+    return Form(name, message).encoded()
 
 
-def _write(definition: Definition, message: Message, out: bytearray) -> None:
-    for one in definition.fields:
-        value = message.get(one.name)
-        if one.sequence:
-            _put(out, "I", len(value or ()))
-        several = one.sequence or one.length is not None
-        values = (value or [None] * (one.length or 0)) if several else [value]
-        if one.kind in SCALARS and len(values):
-            code = CODES[one.kind]
-            _put(out, code, *(x or 0 for x in values))
-        elif one.kind == "string":
-            for text in values:
-                data = (text or "").encode(errors="backslashreplace") + b"\0"
-                _put(out, "I", len(data))
-                out += data
-        elif one.kind in MESSAGES:
-            for inner in values:
-                _write(MESSAGES[one.kind], inner or {}, out)
+class Form:
+    """The layout of a message; others that differ only in their numbers are packed quickly.
 
+    Args:
+        name: of a message in MESSAGES.
+        message: its fields; one that is left out is zero or empty.
+    """
 
-def _put(out: bytearray, code: str, *values: Any) -> None:
-    size = struct.calcsize(code)
-    out += b"\0" * (-len(out) % size)
-    out += struct.pack(f"<{len(values)}{code}", *values)
+    def __init__(self, name: str, message: Message) -> None:
+        self._format, self._size = ["<4s"], 0  # size: without the header
+        self._parts: list[Any] = [HEADER]  # numbers and texts, in order
+        self._numbers: list[int] = []  # which of these are numbers of the message
+        self._add(MESSAGES[name], message)
+        self._struct = struct.Struct("".join(self._format))
+
+    def encoded(self) -> bytes:
+        """The bytes of the message."""
+        return self._struct.pack(*self._parts)
+
+    def pack(self, *numbers: float) -> bytes:
+        """The bytes of the message with all its numbers replaced, in the order of its fields."""
+        for k, number in zip(self._numbers, numbers, strict=True):
+            self._parts[k] = number
+        return self._struct.pack(*self._parts)
+
+    def _add(self, definition: Definition, message: Message) -> None:
+        for one in definition.fields:
+            value = message.get(one.name)
+            if one.sequence:
+                self._put("I", len(value or ()))
+            several = one.sequence or one.length is not None
+            values = (value or [None] * (one.length or 0)) if several else [value]
+            if one.kind in SCALARS:
+                for number in values:
+                    self._numbers.append(len(self._parts))
+                    self._put(CODES[one.kind], number or 0)
+            elif one.kind == "string":
+                for text in values:
+                    data = (text or "").encode(errors="backslashreplace") + b"\0"
+                    self._put("I", len(data))
+                    self._put(f"{len(data)}s", data, align=1)
+            elif one.kind in MESSAGES:
+                for inner in values:
+                    self._add(MESSAGES[one.kind], inner or {})
+
+    def _put(self, code: str, value: Any, align: int = 0) -> None:
+        size = struct.calcsize(code)
+        spare = -self._size % (align or size)
+        self._format.append(f"{spare}x{code}" if spare else code)
+        self._size += spare + size
+        self._parts.append(value)
 
 
 def decode(definition: Definition, data: bytes, known: dict[str, Definition] = MESSAGES) -> Message:
