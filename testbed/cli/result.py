@@ -21,6 +21,10 @@ from testbed.metrics.run_metrics import (
 from testbed.report.page import known, rounded, rows_of
 from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
+SIMULATED = {  # behind the verdict of a rig
+    "twin": " (a result of the twin, not of a table)",
+    "bench": " (a result of the bench, whose table is simulated)",
+}
 STOP_TOOK = 0.5  # a fault that was found so long before the end gets its own time [s]
 
 
@@ -157,6 +161,4 @@ def _verdict(metrics: Metrics) -> str:
         return f"[bold red]failed[/]: {', '.join(failed)}"
     if not metrics.criteria:
         return f"[bold]{NOTHING_TO_JUDGE}[/]"
-    simulator = {"twin": "twin", "bench": "bench, whose table is the twin"}.get(metrics.rig)
-    whose = f" (a result of the {simulator}, not of a table)" if simulator else ""
-    return f"[bold green]passed[/]: all criteria met{whose}"
+    return f"[bold green]passed[/]: all criteria met{SIMULATED.get(metrics.rig, '')}"

@@ -108,7 +108,7 @@ def seen_in_flight(log: MotionLog, found: Calibration) -> dict[str, Any]:
     """
     look = look_at([log], found.model.vehicle)
     position, heading = noise_of_poses([log])
-    names = {"delay": "command_to_pose", "com_x": "body_offset_x", "com_y": "body_offset_y"}
+    names = {"delay": "delay", "com_x": "body_offset_x", "com_y": "body_offset_y"}
     rows = {}
     for own, name in names.items():
         k, sense = found.model.index(own), 1.0 if own == "delay" else -1.0
