@@ -55,7 +55,8 @@ from controllers.graph import FormationKind
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
 from testbed.core.error import MismatchError
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, no_state
+from testbed.core.law import CompiledLaw, Law, bounded, no_state
+from testbed.core.law_verbs import compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]

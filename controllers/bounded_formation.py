@@ -33,7 +33,8 @@ from controllers.proxy import (
     with_proxy,
 )
 from controllers.scale import Scale
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate
+from testbed.core.law import CompiledLaw, Law, bounded
+from testbed.core.law_verbs import compiled_rate
 from testbed.core.vehicle import Positive
 
 

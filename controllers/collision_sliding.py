@@ -41,7 +41,8 @@ from controllers.log_potential import log_potential
 from controllers.proxy import soft_sign
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate
+from testbed.core.law import CompiledLaw, Law, bounded
+from testbed.core.law_verbs import compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
 

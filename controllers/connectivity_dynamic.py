@@ -48,7 +48,8 @@ from controllers.graph import FormationKind, FormationParams
 from controllers.proxy import soft_sign
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_broadcast, compiled_rate
+from testbed.core.law import CompiledLaw, Law, bounded
+from testbed.core.law_verbs import compiled_broadcast, compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
 OFF, SMOOTH, PAPER = 0, 1, 2

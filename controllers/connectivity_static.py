@@ -34,7 +34,8 @@ from controllers.formation_potential import (
 )
 from controllers.graph import FormationKind, FormationParams
 from controllers.scale import Scale
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate
+from testbed.core.law import CompiledLaw, Law, bounded
+from testbed.core.law_verbs import compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
 

@@ -28,7 +28,7 @@ from controllers.graph import Formation, FormationParams, distance, formation, r
 from controllers.log_potential import LogPotential, log_potential, repulsion
 from testbed.core.compiled import compiled
 from testbed.core.error import MismatchError
-from testbed.core.law import compiled_jump
+from testbed.core.law_verbs import compiled_jump
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]

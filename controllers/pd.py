@@ -20,7 +20,8 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from controllers.scale import Scale
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, no_state
+from testbed.core.law import CompiledLaw, Law, no_state, shorten
+from testbed.core.law_verbs import compiled_rate
 from testbed.core.vehicle import Positive
 
 Array = NDArray[np.float64]
@@ -42,18 +43,16 @@ class Gains(NamedTuple):
 
 
 @compiled_rate(Gains)
-def rate(gains, law_state, own, neighbours, world, t):
-    """Force, see `testbed.core.law`; the law has no state."""
-    d = own.p.shape[0]
-    force = np.empty(d)
-    for i in range(d):
+def rate(gains, law_state, own, neighbours, world, t, force, change):
+    """Write the force, see `testbed.core.law`; the law has no state."""
+    for i in range(force.shape[0]):
         force[i] = own.mass * (
             gains.stiffness * (world.goal.p[i] - own.p[i])
             + gains.damping * (world.goal.v[i] - own.v[i])
             + world.goal.a[i]
             - own.disturbance[i]
         )
-    return bounded(force, own.max_force), np.empty(0)
+    shorten(force, own.max_force)
 
 
 def pd(params: PdParams) -> Law:

@@ -26,11 +26,10 @@ from testbed.core.law import (
     Law,
     Neighbours,
     World,
-    broadcast_of,
     concerns_of,
     fly_ahead,
-    jump_of,
 )
+from testbed.core.law_verbs import broadcast_of, jump_of
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -44,7 +44,8 @@ from controllers.bounded_potential import BoundedPotential, bounded_potential
 from controllers.graph import Formation, FormationParams, distance, formation, remember
 from testbed.core.compiled import compiled
 from testbed.core.error import MismatchError
-from testbed.core.law import Body, compiled_broadcast, compiled_jump
+from testbed.core.law import Body
+from testbed.core.law_verbs import compiled_broadcast, compiled_jump
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, with_fixed_types
+from testbed.core.compiled import compiled, inlined, with_fixed_types
 from testbed.core.law import (
     Ahead,
     Body,
@@ -31,6 +31,7 @@ from testbed.core.law import (
     concerns_of,
     propagate_in_plane,
 )
+from testbed.core.scratch import scratch
 from testbed.core.vehicle import Positive
 
 Array = NDArray[np.float64]
@@ -56,40 +57,64 @@ class Units(NamedTuple):
     mass: float  # of the paper's satellite [kg]
 
 
-@compiled
-def discs_in(units, discs):
-    """Discs in the paper's units."""
-    return Discs(discs.p * units.length, discs.v * units.speed, discs.radius * units.length)
+class Room(NamedTuple):
+    """Memory for a law's inputs in the paper's units."""
+
+    own: Array  # (4, d)
+    goal: Array  # (4, d)
+    others: Array  # (2, n, d)
+    of_others: Array  # (2, n)
+    discs: Array  # (2, m, d)
+    radius: Array  # (m,)
+
+
+def room_for(neighbours: Neighbours, world: World) -> Room:
+    """Memory on the heap, for callers in Python."""
+    (n, d), m = neighbours.p.shape, len(world.obstacles.p)
+    return Room(*(np.empty(one) for one in ((4, d), (4, d), (2, n, d), (2, n), (2, m, d), (m,))))
+
+
+@inlined
+def times(numbers, factor, out):
+    """`numbers` times `factor`, written to `out`."""
+    np.multiply(numbers, factor, out)
+    return out
 
 
 @compiled
-def scene_in(units, own, neighbours, world):
+def scene_in(units, own, neighbours, world, room):
     """Inputs of a law in the paper's units; the laws' messages already are."""
-    goal, others = world.goal, neighbours
+    length, speed, accel, jerk = units.length, units.speed, units.accel, units.jerk
+    goal, others, discs = world.goal, neighbours, world.obstacles
     body = Body(
-        own.p * units.length,
-        own.v * units.speed,
+        times(own.p, length, room.own[0]),
+        times(own.v, speed, room.own[1]),
         units.mass,
-        own.disturbance * units.accel,
-        own.disturbance_rate * units.jerk,
+        times(own.disturbance, accel, room.own[2]),
+        times(own.disturbance_rate, jerk, room.own[3]),
         own.max_force * units.force,
         own.vehicle_index,
     )
     others = Neighbours(
-        others.p * units.length,
-        others.v * units.speed,
-        others.radius * units.length,
+        times(others.p, length, room.others[0]),
+        times(others.v, speed, room.others[1]),
+        times(others.radius, length, room.of_others[0]),
         others.vehicle_index,
         others.message,
-        others.message_t * units.time,
+        times(others.message_t, units.time, room.of_others[1]),
     )
     target = Goal(
-        goal.p * units.length,
-        goal.v * units.speed,
-        goal.a * units.accel,
-        goal.jerk * units.jerk,
+        times(goal.p, length, room.goal[0]),
+        times(goal.v, speed, room.goal[1]),
+        times(goal.a, accel, room.goal[2]),
+        times(goal.jerk, jerk, room.goal[3]),
     )
-    return body, others, World(target, discs_in(units, world.obstacles))
+    obstacles = Discs(
+        times(discs.p, length, room.discs[0]),
+        times(discs.v, speed, room.discs[1]),
+        times(discs.radius, length, room.radius),
+    )
+    return body, others, World(target, obstacles)
 
 
 @compiled
@@ -115,7 +140,12 @@ class InUnits(NamedTuple):
 def fly_scaled(law, law_state, own, neighbours, world, t, duration, steps):
     """`propagate_in_plane` in the paper's units, in one call of compiled code."""
     gains, units = law
-    body, others, scene = scene_in(units, own, neighbours, world)
+    n, m = neighbours.p.shape[0], world.obstacles.p.shape[0]
+    room = Room(
+        scratch((4, 2)), scratch((4, 2)), scratch((2, n, 2)), scratch((2, n)),
+        scratch((2, m, 2)), scratch(m),
+    )  # fmt: skip
+    body, others, scene = scene_in(units, own, neighbours, world, room)
     t, duration = t * units.time, duration * units.time
     ahead = propagate_in_plane(gains, law_state, body, others, scene, t, duration, steps)
     return home(units, ahead)
@@ -142,20 +172,26 @@ class Scaled:
         length, speed, accel, jerk, time = self._rates
         return Units(length, speed, accel, jerk, time, accel * mass / vehicle, mass)
 
+    def _scene(
+        self, own: Body, neighbours: Neighbours, world: World
+    ) -> tuple[Body, Neighbours, World]:
+        units = self._units(own.mass)
+        return scene_in(units, own, neighbours, world, room_for(neighbours, world))
+
     def concerns(self, law_state: Array) -> list[Concern]:
         """See `concerns_of`."""
         return concerns_of(self.law, law_state)
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""
-        return self.law.initial(*scene_in(self._units(own.mass), own, neighbours, world))
+        return self.law.initial(*self._scene(own, neighbours, world))
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`; force in table newtons, law state in paper units per table second."""
         units = self._units(own.mass)
-        body, others, scene = scene_in(units, own, neighbours, world)
+        body, others, scene = self._scene(own, neighbours, world)
         force, change = self.law.rate(law_state, body, others, scene, t * units.time)
         return force / units.force, change * units.time
 
@@ -168,7 +204,7 @@ class Scaled:
         if isinstance(law, CompiledLaw) and own.p.shape[0] == 2:
             scaled = InUnits(law.gains, units)
             return self._fly_scaled(scaled, law_state, own, neighbours, world, t, duration, steps)
-        body, others, scene = scene_in(units, own, neighbours, world)
+        body, others, scene = self._scene(own, neighbours, world)
         t, duration = t * units.time, duration * units.time
         ahead = law.propagate(law_state, body, others, scene, t, duration, steps)
         return home(units, ahead)

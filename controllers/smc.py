@@ -31,7 +31,8 @@ from controllers.potential import (
     potential,
 )
 from controllers.scale import Scale
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, no_state
+from testbed.core.law import CompiledLaw, Law, no_state, shorten
+from testbed.core.law_verbs import compiled_rate
 from testbed.core.scratch import scratch
 from testbed.core.vehicle import NonNegative
 
@@ -60,11 +61,11 @@ class Gains(NamedTuple):
 
 
 @compiled_rate(Gains)
-def rate(gains, law_state, own, neighbours, world, t):
-    """Force, see `testbed.core.law`; the law has no state."""
+def rate(gains, law_state, own, neighbours, world, t, force, change):
+    """Write the force, see `testbed.core.law`; the law has no state."""
     d = own.p.shape[0]
     # Omega depends on velocities only, so the force, not known yet, does not affect it
-    force = np.zeros(d)
+    force[:] = 0.0
     e, g = scratch((3, d)), scratch((3, d))
     gradient(gains.potential, own, force, neighbours, world, e, g)
     for i in range(d):
@@ -76,7 +77,7 @@ def rate(gains, law_state, own, neighbours, world, t):
             - own.disturbance[i]
             + world.goal.a[i]
         )
-    return bounded(force, own.max_force), np.empty(0)
+    shorten(force, own.max_force)
 
 
 def smc(params: SmcParams, d: int) -> Law:

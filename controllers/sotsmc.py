@@ -45,7 +45,8 @@ from controllers.potential import (
 from controllers.scale import Scale
 from testbed.core.compiled import inlined
 from testbed.core.error import MismatchError
-from testbed.core.law import Body, CompiledLaw, Law, bounded, compiled_rate
+from testbed.core.law import Body, CompiledLaw, Law, shorten
+from testbed.core.law_verbs import compiled_rate
 from testbed.core.scratch import scratch
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -106,15 +107,15 @@ def bound_change(u, change, max_force, length, outward):
 
 
 @compiled_rate(Gains)
-def rate(gains, law_state, own, neighbours, world, t):
-    """Force and rate of the law's state, see `testbed.core.law`."""
+def rate(gains, law_state, own, neighbours, world, t, force, change):
+    """Write the force and the rate of the law's state, see `testbed.core.law`."""
     d = own.p.shape[0]
     u, bound = law_state[:d], law_state[d]
-    force = bounded(u, own.max_force)
+    force[:] = u
+    shorten(force, own.max_force)
     power = gains.power
     e, g = scratch((3, d)), scratch((3, d))
     gradient(gains.potential, own, force, neighbours, world, e, g)
-    change = np.empty(d + 1)
     length = outward = spread = slow = steep = 0.0
     for i in range(d):
         s = gains.surface[i] * g[0, i] + e[1, i]  # Eq. (15)
@@ -143,7 +144,6 @@ def rate(gains, law_state, own, neighbours, world, t):
         leak = PULL * (1.0 - own.max_force / np.sqrt(length))
         for i in range(d):
             change[i] -= leak * u[i]
-    return force, change
 
 
 def initial(own: Body) -> Array:

@@ -5,7 +5,7 @@ array, and a vehicle's parameters and memory have more than sixty. A `Bundle` is
 when it is made.
 """
 
-from struct import calcsize, pack
+from struct import Struct, calcsize
 from typing import Any, cast
 
 import numba
@@ -20,8 +20,8 @@ from testbed.core.code_cache import BundleType
 from testbed.core.compiled import look_of, without_counts
 
 WORD = 8  # bytes
-# numba's type of values that look alike, and its size in bytes; both take long to find
-_KINDS: dict[Any, tuple[Any, int]] = {}
+# numba's type of values that look alike, and its bytes as a C struct; both take long to find
+_KINDS: dict[Any, tuple[Any, Struct]] = {}
 
 
 class Bundle(int):
@@ -40,40 +40,57 @@ class Bundle(int):
 
     def __new__(cls, value: tuple[Any, ...]) -> "Bundle":
         """Take `value` apart, and keep it alive."""
-        place = np.frombuffer(layout_of(value)[0], np.uint8)
         if (known := _KINDS.get(look := look_of(value))) is None:
-            kind = numba.typeof(value)
-            known = _KINDS[look] = kind, _bytes_of(kind)
-        kind, needed = known
-        if place.nbytes != needed:
-            raise TypeError(f"expected {needed} bytes for {kind}, found {place.nbytes}")
+            known = _KINDS[look] = _kind_of(value)
+        kind, layout = known
+        words: list[Any] = []
+        add_words(value, words)
+        place = np.frombuffer(layout.pack(*words), np.uint8)
         bundle = super().__new__(cls, place.ctypes.data)
         bundle.value, bundle.kind, bundle._place = value, kind, place
         return bundle
 
 
-def layout_of(value: Any) -> tuple[bytes, int]:
-    """The bytes by which numba represents a value, and their alignment, as of a C struct.
+def _kind_of(value: tuple[Any, ...]) -> tuple[Any, Struct]:
+    """See `_KINDS`."""
+    layout, kind = Struct(layout_of(value)[0]), numba.typeof(value)
+    if layout.size != (needed := _bytes_of(kind)):
+        raise TypeError(f"expected {needed} bytes for {kind}, found {layout.size}")
+    return kind, layout
 
-    An array is its owner twice (here none), length, item size, address, shape and strides.
+
+def layout_of(value: Any) -> tuple[str, int]:
+    """The format, as in `struct`, by which numba represents a value, and its alignment in bytes.
 
     Raises:
         TypeError: for a value that is not made of arrays and numbers.
     """
     if isinstance(value, np.ndarray):
-        place = value.ctypes.data
-        words = 0, 0, value.size, value.itemsize, place, *value.shape, *value.strides
-        return pack(f"{len(words)}q", *words), WORD
+        return f"{5 + 2 * value.ndim}q", WORD
     if isinstance(value, tuple):
-        laid, align = b"", 1
-        for part in value:
-            more, its = layout_of(part)
-            laid, align = laid + bytes(-len(laid) % its) + more, max(align, its)
-        return laid + bytes(-len(laid) % align), align
+        parts = [layout_of(part) for part in value]
+        align = max((its for _, its in parts), default=1)
+        edge = "0q" if align == WORD else ""  # a struct begins and ends at its alignment
+        return edge + "".join(letters for letters, _ in parts) + edge, align
     for kind, letter in ((bool, "?"), (int, "q"), (float, "d")):
         if isinstance(value, kind):
-            return pack(letter, value), calcsize(letter)
+            return letter, calcsize(letter)
     raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")
+
+
+def add_words(value: Any, words: list[Any]) -> None:
+    """Append what `layout_of` has letters for.
+
+    An array is its owner twice (here none), length, item size, address, shape and strides.
+    """
+    if isinstance(value, tuple):
+        for part in value:
+            add_words(part, words)
+    elif isinstance(value, np.ndarray):
+        place = value.ctypes.data
+        words += 0, 0, value.size, value.itemsize, place, *value.shape, *value.strides
+    else:
+        words.append(value)
 
 
 def unpacked(bundle: Bundle) -> Any:

@@ -108,15 +108,18 @@ def look_of(value: Any) -> Any:
     Raises:
         TypeError: for a list or similar, whose type depends on its contents.
     """
-    if isinstance(value, (list, set, dict)):
-        raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")
     if isinstance(value, np.ndarray):
         return _number_of(value.dtype), value.ndim, value.flags.num
+    kind = type(value)
+    if isinstance(value, tuple):
+        return kind, *map(look_of, value)
     if isinstance(value, np.void):  # a record
         return _number_of(value.dtype)
-    if isinstance(value, int) and (kind := getattr(value, "kind", None)) is not None:  # a bundle
-        return BundleType, kind._code  # numba: equal types have equal codes
-    return (type(value), *map(look_of, value)) if isinstance(value, tuple) else type(value)
+    if isinstance(value, (list, set, dict)):
+        raise TypeError(f"expected arrays, tuples and numbers, found a {kind.__name__}")
+    if isinstance(value, int) and (inner := getattr(value, "kind", None)) is not None:  # a bundle
+        return BundleType, inner._code  # numba: equal types have equal codes
+    return kind
 
 
 def _compiled(function: F, **options: Any) -> F:

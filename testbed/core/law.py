@@ -17,16 +17,19 @@ to them.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from msgspec import Struct
-from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from testbed.core.compiled import borrowed, compiled, inlined, keep, with_fixed_types
+from testbed.core.law_verbs import broadcast_of, jump_of, write_rate, writes
+from testbed.core.law_verbs import compiled_broadcast as compiled_broadcast  # for users' laws
+from testbed.core.law_verbs import compiled_jump as compiled_jump
+from testbed.core.law_verbs import compiled_rate as compiled_rate
+from testbed.core.scratch import scratch
 
 Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -140,74 +143,6 @@ def concerns_of(law: Any, law_state: Array) -> list[Concern]:
     return [] if concerns is None else list(concerns(law_state))
 
 
-def rate_of(law, law_state, own, neighbours, world, t):
-    """Force and rate of a law's state; the law is selected by the type of its gains.
-
-    This is the plain Python version, where `law` may also be an object with a method `rate`.
-    """
-    return _plain(_RATES, law, "rate")(law_state, own, neighbours, world, t)
-
-
-def jump_of(law, law_state, own, neighbours, world, t):
-    """A law's state after a jump of its discrete parts; most laws have none."""
-    jump = _plain(_JUMPS, law, "jump")
-    return law_state if jump is None else jump(law_state, own, neighbours, world, t)
-
-
-def broadcast_of(law, law_state, own, neighbours, world, t):
-    """A law's message to the others, shape (k,); most laws send none."""
-    broadcast = _plain(_BROADCASTS, law, "broadcast")
-    return np.zeros(0) if broadcast is None else broadcast(law_state, own, neighbours, world, t)
-
-
-def _plain(table: dict[type, Callable], law: Any, verb: str) -> Any:
-    """A law's function: registered for its gains, or the law's own method; None: it has none."""
-    found = table.get(type(law))
-    return getattr(law, verb, None) if found is None else partial(found, law)
-
-
-_RATES: dict[type, Callable] = {}  # by the type of a law's gains
-_JUMPS: dict[type, Callable] = {}
-_BROADCASTS: dict[type, Callable] = {}
-
-
-@compiled
-def _keep(law, law_state, own, neighbours, world, t):
-    return law_state
-
-
-@compiled
-def _say_nothing(law, law_state, own, neighbours, world, t):
-    return np.empty(0)
-
-
-def _dispatch(verb: Callable, table: dict[type, Callable], default: Callable | None) -> None:
-    """Make compiled code look up a function in `table` by the type of a law's gains."""
-
-    @overload(verb, jit_options={"forceinline": True})  # the arguments are many words
-    def choose(law, law_state, own, neighbours, world, t):
-        known = isinstance(law, types.BaseNamedTuple)
-        kernel = table.get(law.instance_class, default) if known else None
-        if kernel is None:
-            return None
-        return lambda law, law_state, own, neighbours, world, t: kernel(
-            law, law_state, own, neighbours, world, t
-        )
-
-
-_dispatch(rate_of, _RATES, None)
-_dispatch(jump_of, _JUMPS, _keep)
-_dispatch(broadcast_of, _BROADCASTS, _say_nothing)
-
-
-def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F], F]:
-    def decorate(function: F) -> F:
-        table[gains_type] = inlined(function)
-        return cast(F, table[gains_type])
-
-    return decorate
-
-
 def propagate_of(law, law_state, own, neighbours, world, t, duration, steps):
     """`propagate_in_plane`, or what is registered for laws with gains of this type."""
     fly = _PROPAGATES.get(type(law), propagate_in_plane)
@@ -235,25 +170,6 @@ def compiled_propagate(gains_type: type) -> Callable[[F], F]:
     return decorate
 
 
-def compiled_rate(gains_type: type) -> Callable[[F], F]:
-    """Compile a law's rate and register it in `rate_of` for `gains_type`.
-
-    A function argument would do the same, but numba cannot cache a function on disk that takes a
-    function as an argument.
-    """
-    return _compiled_into(_RATES, gains_type)
-
-
-def compiled_jump(gains_type: type) -> Callable[[F], F]:
-    """Compile a law's jump, which returns a new array, and register it in `jump_of`."""
-    return _compiled_into(_JUMPS, gains_type)
-
-
-def compiled_broadcast(gains_type: type) -> Callable[[F], F]:
-    """Compile a law's broadcast and register it in `broadcast_of`."""
-    return _compiled_into(_BROADCASTS, gains_type)
-
-
 def no_state(own: Body) -> Array:
     """Initial state of a law without memory."""
     return np.zeros(0)
@@ -270,7 +186,7 @@ class CompiledLaw:
         message_size: int = 0,
     ) -> None:
         self.gains, self._initial, self._rate = gains, initial, rate
-        self.message_size = message_size
+        self.message_size, self._writes = message_size, writes(rate)
         self._propagate, self._in_plane = map(with_fixed_types, (propagate, propagate_in_plane))
 
     def for_compiled_code(self, mass: float) -> Any:
@@ -285,7 +201,12 @@ class CompiledLaw:
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`."""
-        return self._rate(self.gains, law_state, own, neighbours, world, t)
+        if not self._writes:
+            return self._rate(self.gains, law_state, own, neighbours, world, t)
+        # what the law does not write stays NaN, which `testbed check` finds
+        force, change = np.full(own.p.shape, np.nan), np.full(law_state.shape, np.nan)
+        self._rate(self.gains, law_state, own, neighbours, world, t, force, change)
+        return force, change
 
     def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
@@ -303,6 +224,18 @@ def bounded(force, limit):
     for i in range(force.shape[0]):
         square += force[i] * force[i]
     return force * (limit / np.sqrt(square)) if square > limit * limit else force
+
+
+@inlined
+def shorten(force, limit):
+    """`bounded`, in place."""
+    square = 0.0
+    for i in range(force.shape[0]):
+        square += force[i] * force[i]
+    if square > limit * limit:
+        factor = limit / np.sqrt(square)
+        for i in range(force.shape[0]):
+            force[i] *= factor
 
 
 @compiled
@@ -341,25 +274,31 @@ def propagate_in_plane(gains, law_state, own, neighbours, world, t, duration, st
 
 
 @inlined
-def copied(vector, d):
-    """The first `d` numbers of `vector`."""
-    copy = np.empty(d)
-    for i in range(d):
+def copy_to(copy, vector):
+    """Write the first numbers of `vector` to `copy`."""
+    for i in range(copy.shape[0]):
         copy[i] = vector[i]
-    return copy
 
 
 @inlined
 def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
     """See `propagate`; `d` is the number of axes."""
-    h, goal = duration / steps, world.goal
+    h, goal, obstacles = duration / steps, world.goal, world.obstacles
     z = jump_of(gains, law_state, own, neighbours, world, t).copy()
-    p, v, disturbance = copied(own.p, d), copied(own.v, d), copied(own.disturbance, d)
-    disturbance_rate, jerk = copied(own.disturbance_rate, d), copied(goal.jerk, d)
-    goal_p, goal_v, goal_a = copied(goal.p, d), copied(goal.v, d), copied(goal.a, d)
-    obstacles_p = np.empty((world.obstacles.p.shape[0], d))
-    others_p = np.empty((neighbours.p.shape[0], d))
-    obstacles_p[:], others_p[:] = world.obstacles.p, neighbours.p
+    p, v, mean_force = np.empty(d), np.empty(d), np.zeros(d)
+    disturbance, disturbance_rate, force = scratch(d), scratch(d), scratch(d)
+    goal_p, goal_v, goal_a, jerk = scratch(d), scratch(d), scratch(d), scratch(d)
+    copy_to(p, own.p)
+    copy_to(v, own.v)
+    copy_to(disturbance, own.disturbance)
+    copy_to(disturbance_rate, own.disturbance_rate)
+    copy_to(goal_p, goal.p)
+    copy_to(goal_v, goal.v)
+    copy_to(goal_a, goal.a)
+    copy_to(jerk, goal.jerk)
+    obstacles_p, others_p = scratch((obstacles.p.shape[0], d)), scratch((neighbours.p.shape[0], d))
+    obstacles_p[:], others_p[:] = obstacles.p, neighbours.p
+    z_rate = scratch(z.shape[0])
     body = borrowed(
         Body(p, v, own.mass, disturbance, disturbance_rate, own.max_force, own.vehicle_index)
     )
@@ -369,16 +308,11 @@ def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
             neighbours.vehicle_index, neighbours.message, neighbours.message_t,
         )
     )  # fmt: skip
-    scene = borrowed(
-        World(
-            Goal(goal_p, goal_v, goal_a, jerk),
-            Discs(obstacles_p, world.obstacles.v, world.obstacles.radius),
-        )
-    )
+    ahead = Goal(goal_p, goal_v, goal_a, jerk)
+    scene = borrowed(World(ahead, Discs(obstacles_p, obstacles.v, obstacles.radius)))
     gains, state = borrowed(gains), borrowed(z)
-    mean_force = np.zeros(d)
     for k in range(steps):
-        force, z_rate = rate_of(gains, state, body, others, scene, t + k * h)
+        write_rate(gains, state, body, others, scene, t + k * h, force, z_rate)
         for i in range(d):
             mean_force[i] += force[i] / steps
             a = force[i] / own.mass + disturbance[i]
@@ -389,12 +323,11 @@ def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
             goal_v[i] += h * goal_a[i]
             goal_a[i] += h * jerk[i]
             for n in range(obstacles_p.shape[0]):
-                obstacles_p[n, i] += h * world.obstacles.v[n, i]
+                obstacles_p[n, i] += h * obstacles.v[n, i]
             for n in range(others_p.shape[0]):
                 others_p[n, i] += h * neighbours.v[n, i]
-        for i in range(z.shape[0]):  # last, because the force may be a view of the law's state
+        for i in range(z.shape[0]):
             z[i] += h * z_rate[i]
     message = broadcast_of(gains, state, body, others, scene, t + duration)
-    keep((own, neighbours, world, disturbance, disturbance_rate))
-    keep((goal_p, goal_v, goal_a, jerk, obstacles_p, others_p))
+    keep((own, neighbours, world))
     return Ahead(z, p, v, mean_force, message)

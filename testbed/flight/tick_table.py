@@ -15,7 +15,8 @@ from testbed.flight.record import ROW
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-TICKS, SIZE = 250, 600_000  # most rows of a table, and most bytes that they take
+# most rows of a table, as many as a chunk of a fast log has at 10 Hz, and most bytes that they take
+TICKS, SIZE = 250, 800_000
 SAMPLES, STATES, REFERENCES = range(3)  # columns of `TickTable.counts`
 
 

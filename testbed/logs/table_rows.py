@@ -83,6 +83,9 @@ class Columns:
 
     def copy(self, words: Array, records: Array, where: NDArray[np.bool_] | None = None) -> None:
         """Copy these numbers; where not `where`, they are unknown."""
+        if where is not None and not where.any():
+            words[:, self.to] = np.nan
+            return
         values = records[:, self.of]
         if where is not None:
             values[~where] = np.nan

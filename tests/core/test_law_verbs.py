@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 
 from controllers.plain_law import propagate_plain
-from testbed.core.law import (
-    Body,
-    Discs,
-    Goal,
-    Neighbours,
-    World,
-    compiled_broadcast,
-    compiled_jump,
-    compiled_rate,
-    propagate,
-)
+from testbed.core.law import Body, CompiledLaw, Discs, Goal, Neighbours, World, propagate
+from testbed.core.law_verbs import compiled_broadcast, compiled_jump, compiled_rate, write_rate
 
 
 class Gains(NamedTuple):
@@ -100,3 +91,57 @@ def test_a_law_needs_no_more_than_a_rate(scene):
     ahead = propagate_plain(OnlyRate(), np.ones(2), *scene, 0.0, 1.0, 4)
     assert list(ahead.law_state) == [1.0, 1.0]
     assert ahead.message.shape == (0,)
+
+
+class Returned(NamedTuple):
+    stiffness: float
+
+
+class Written(NamedTuple):
+    stiffness: float
+
+
+class Forgotten(NamedTuple):
+    stiffness: float
+
+
+@compiled_rate(Returned)
+def returned(gains, law_state, own, neighbours, world, t):
+    return law_state - gains.stiffness * own.p, own.v + t
+
+
+@compiled_rate(Written)
+def written(gains, law_state, own, neighbours, world, t, force, change):
+    for i in range(force.shape[0]):
+        force[i] = law_state[i] - gains.stiffness * own.p[i]
+        change[i] = own.v[i] + t
+
+
+@compiled_rate(Forgotten)
+def forgotten(gains, law_state, own, neighbours, world, t, force, change):
+    force[0] = 1.0
+
+
+@pytest.mark.parametrize("fly", [propagate, propagate_plain])
+def test_a_law_that_writes_its_rate_is_the_one_that_returns_it(fly, scene):
+    state = np.array([0.3, -0.2])
+    one, other = (fly(kind(0.7), state, *scene, 1.0, 0.5, 50) for kind in (Returned, Written))
+    assert [x.tobytes() for x in one] == [x.tobytes() for x in other]
+    assert one.law_state[0] != state[0]
+
+
+def test_a_rate_that_writes_is_asked_like_any_other(scene):
+    state = np.array([0.3, -0.2])
+    laws = (CompiledLaw(Returned(0.7), None, returned), CompiledLaw(Written(0.7), None, written))
+    one, other = (law.rate(state, *scene, 1.0) for law in laws)
+    np.testing.assert_array_equal(one, other)
+    force, change = np.empty(2), np.empty(2)
+    write_rate(laws[0].gains, state, *scene, 1.0, force, change)
+    np.testing.assert_array_equal((force, change), one)
+
+
+def test_what_a_rate_does_not_write_is_no_number(scene):
+    """`testbed check` asks for the rate, and refuses NaN."""
+    law = CompiledLaw(Forgotten(1.0), None, forgotten)
+    force, change = law.rate(np.zeros(2), *scene, 0.0)
+    assert (force[0], np.isnan(force[1]), np.isnan(change).all()) == (1.0, True, True)

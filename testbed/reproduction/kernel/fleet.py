@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from sim_twin.orbit.relative import Chief, coriolis, drift_rate, field, frame_at
 from testbed.core.compiled import borrowed, compiled, keep, pasted
-from testbed.core.law import Body, Discs, Goal, Neighbours, World, broadcast_of, jump_of, rate_of
+from testbed.core.law import Body, Discs, Goal, Neighbours, World
+from testbed.core.law_verbs import broadcast_of, jump_of, write_rate
 
 Array = NDArray[np.float64]
 
@@ -221,11 +222,7 @@ def flow(law, place, mass, t, p, v, z, messages, sight, a, z_rate, wanted):
         sight.jolt[:] = 0.0
         for _ in range(2 if place.law_knows_rate else 1):  # one call site halves compile time
             own = Body(p[i], v[i], mass[i], known[i], sight.jolt, np.inf, i)
-            force, change = rate_of(law, z[i], own, sight.others, sight.world, t)
-            for k in range(d):
-                wanted[i, k] = force[k]
-            for k in range(z.shape[1]):
-                z_rate[i, k] = change[k]
+            write_rate(law, z[i], own, sight.others, sight.world, t, wanted[i], z_rate[i])
             if (
                 place.law_knows_rate
             ):  # depends on the force, which in these laws does not depend on it
