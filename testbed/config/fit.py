@@ -115,17 +115,16 @@ def most_torque(push: NDArray[np.float64], turn: NDArray[np.float64]) -> float:
 
 def defaults_of(experiment: Experiment) -> list[Default]:
     """Every derived default, with its arithmetic."""
-    found = [*_guidance(experiment), *_life(experiment), *_flight(experiment)]
-    found += [*_estimator(experiment), *_gate(experiment), *_law(experiment)]
-    return [*found, *_arming(experiment)]
+    return [one for derive in _DERIVED for one in derive(experiment)]
 
 
 def fit(experiment: Experiment, given: dict[str, Any]) -> Experiment:
     """The experiment with derived defaults for keys that the tree `given` does not have."""
-    for k in range(len(defaults_of(experiment))):
-        key, value, _ = defaults_of(experiment)[k]  # from the earlier ones, or the file's numbers
-        if not _has(given, key):
-            experiment = _put(experiment, key, value)
+    for derive in _DERIVED:
+        for k in range(len([*derive(experiment)])):
+            key, value, _ = [*derive(experiment)][k]  # from the earlier ones, or the file's numbers
+            if not _has(given, key):
+                experiment = _put(experiment, key, value)
     return experiment
 
 
@@ -277,3 +276,7 @@ def _estimator(experiment: Experiment) -> Iterator[Default]:
         ("flight", "estimator", "bias_spread"), max(SPREAD, slope),
         f"the slope {slope:.2g} m/s^2, at least {SPREAD:g}",
     )  # fmt: skip
+
+
+# in this order, because each may need defaults of those before
+_DERIVED = _guidance, _life, _flight, _estimator, _gate, _law, _arming

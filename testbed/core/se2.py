@@ -2,6 +2,9 @@
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from testbed.core.compiled import compiled
 
 
@@ -12,6 +15,12 @@ def wrap(angle: float) -> float:
 
 
 wrap_compiled = compiled(wrap)
+
+
+def wrap_all(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`wrap` of each, to the last bit."""
+    turned = (angles + math.pi) % (2.0 * math.pi) - math.pi
+    return np.where(turned < math.pi, turned, -math.pi)
 
 
 @compiled

@@ -14,7 +14,7 @@ from testbed.core.codes import FaultReport
 from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
 from testbed.core.records.kinds import SetpointKind
-from testbed.core.se2 import wrap
+from testbed.core.se2 import wrap_all
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs, Tick
 from testbed.core.vehicle import NonNegative, Positive
@@ -317,7 +317,7 @@ def vehicle_metrics(
     asked = aimed.pose[inside]
     flown = track.at(aimed.t[inside], vehicle) if inside.any() else np.zeros((0, 3))
     off = np.sum((flown[:, :2] - asked[:, :2]) ** 2, axis=1)
-    turn = np.array([wrap(angle) for angle in (flown[:, 2] - asked[:, 2]).tolist()])
+    turn = wrap_all(flown[:, 2] - asked[:, 2])
     heading = _rms(turn**2)
     held = completed_s >= HOLD_S - ROUNDING_S
     return VehicleMetrics(

@@ -3,11 +3,12 @@
 import cmath
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from testbed.core.se2 import to_body, to_table, velocity_at, wrap, wrap_compiled
+from testbed.core.se2 import to_body, to_table, velocity_at, wrap, wrap_all, wrap_compiled
 
 angles = st.floats(-1e4, 1e4)
 lengths = st.floats(-1e3, 1e3)
@@ -39,6 +40,14 @@ def test_wrap_stays_within_half_a_turn(angle):
 )
 def test_wrap_at_the_ends_of_its_range(angle, wrapped):
     assert wrap(angle) == pytest.approx(wrapped, abs=1e-15)
+
+
+def test_all_at_once_is_one_after_the_other():
+    rng = np.random.default_rng(3)
+    ends = [k * math.pi + e for k in range(-5, 6) for e in (-1e-16, 0.0, 1e-16, 4e-16)]
+    angles = np.concatenate((rng.uniform(-20.0, 20.0, 2000), ends, [math.nextafter(-math.pi, -4)]))
+    one_by_one = np.array([wrap(angle) for angle in angles.tolist()])
+    assert wrap_all(angles).tobytes() == one_by_one.tobytes()
 
 
 def test_wrap_never_gives_pi():
