@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from load import loaded
 
 from testbed.config import find, load
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.host import WireRig
@@ -30,7 +30,7 @@ def main():
     rig = WireRig(experiment, bench=True)
     with ExitStack() as stack:
         rig.on_start = lambda rig: stack.enter_context(loaded(args.hogs))
-        with no_garbage_collection():
+        with steady_memory():
             ending = rig.fly(NullObserver())
     wires = rig.wires()
     print(f"{experiment.name}, law on the {experiment.deploy.law}, {args.hogs} hogs: {ending}")

@@ -17,7 +17,7 @@ import numpy as np
 
 from testbed.config import Experiment, find, load
 from testbed.core.types import Inputs
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.chain import make_agent
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
@@ -57,7 +57,7 @@ def measure(experiment: Experiment, name: str, heard: list[Inputs]) -> dict[str,
     ticks, seen, acted = list[float](), list[float](), list[float]()
     agent._see, agent._act = timed(agent._see, seen), timed(agent._act, acted)
     step = timed(agent.step, ticks)
-    with no_garbage_collection():
+    with steady_memory():
         for inputs in heard:
             step(inputs)
     found = {"Agent.step": ticks, "chain": [sum(pair) for pair in zip(seen, acted, strict=True)]}

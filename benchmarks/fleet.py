@@ -16,7 +16,7 @@ from pathlib import Path
 import tomli_w
 
 from testbed.config import dump, find, load
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
@@ -47,7 +47,7 @@ def fleet(count, seconds):
 def cost(experiment):
     """Processor time per vehicle and second of the flight [s]."""
     rig = make_twin(experiment)
-    with no_garbage_collection():  # as all flights are flown
+    with steady_memory():  # as all flights are flown
         began = time.process_time()
         ending = rig.fly(NullObserver())
         spent = time.process_time() - began

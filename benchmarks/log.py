@@ -21,7 +21,7 @@ from testbed.logs.columns import Columns
 from testbed.logs.log_reader import LogReader
 from testbed.logs.recorder import FAST_SPAN_NS, Recorder
 from testbed.metrics.run_metrics import ReferenceLog
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin, warm_up
 from testbed.run.fly import FlightLog, FlightScreen, names_of
@@ -36,7 +36,7 @@ def flown(experiment: Experiment, path: Path | None) -> tuple[float, float]:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     if path is None:
         began = time.process_time()
-        with no_garbage_collection():
+        with steady_memory():
             rig.fly(MetricsObserver(experiment.vehicles))
         return time.process_time() - began, 0.0
     recorder = Recorder(
@@ -46,7 +46,7 @@ def flown(experiment: Experiment, path: Path | None) -> tuple[float, float]:
     with recorder:
         log = FlightLog(rig, references, recorder, FlightScreen())
         began = time.process_time()
-        with no_garbage_collection():
+        with steady_memory():
             rig.fly(log)
         used = time.process_time() - began
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

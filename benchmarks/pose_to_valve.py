@@ -36,7 +36,7 @@ from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody, encode_frame
 from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
-from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
+from testbed.realtime.scheduling import realtime_priority, steady_memory
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.wired.local import free_port
 
@@ -67,7 +67,7 @@ from testbed.core.lab import MocapWire
 from testbed.core.types import Accel, Inputs, Pose, Reference, Trajectory, Twist
 from testbed.mocap.natnet_client import NatNetClient
 from testbed.mocap.poses import MocapPoses
-from testbed.realtime.scheduling import realtime_priority, no_garbage_collection
+from testbed.realtime.scheduling import realtime_priority, steady_memory
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
 from testbed.rig.twin import warm_up
@@ -81,7 +81,7 @@ clock = WallClock(monotonic_ns())
 poses = MocapPoses(client, MocapWire(), clock, name)
 goal = Reference(0.0, Pose(*setup.start), Twist(0, 0, 0), Accel(0, 0, 0))
 setpoint = Trajectory((goal,), 1e9)
-with no_garbage_collection(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thrusters:
+with steady_memory(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thrusters:
     thrusters.epoch_us = clock.epoch_ns // 1000
     heard = 0
     while heard < 50:
@@ -154,7 +154,7 @@ def main():
     names = list(experiment.vehicles)[: args.vehicles]
     rng = np.random.default_rng(1)
     axes = Axes(MocapWire())
-    with tempfile.TemporaryDirectory() as folder, no_garbage_collection():
+    with tempfile.TemporaryDirectory() as folder, steady_memory():
         taps = [
             LineTap(limits_of(experiment.vehicles[n].model), 1, Path(folder) / n).__enter__()
             for n in names

@@ -17,7 +17,7 @@ from pathlib import Path
 from testbed.config import Experiment, find, load
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge
@@ -49,7 +49,7 @@ class Memory(NullObserver):
 def in_memory(experiment: Experiment) -> float:
     """Speed against real time with every tick kept in memory."""
     rig, memory = make_twin(experiment), Memory()
-    with no_garbage_collection():
+    with steady_memory():
         began = time.perf_counter()
         rig.fly(memory)
         took = time.perf_counter() - began

@@ -120,7 +120,7 @@ def main() -> None:
         sys.exit("perf is not installed (Debian: linux-perf)")
     keep_object_code()
     from testbed.config import find, load  # after numba's library has been changed
-    from testbed.realtime.scheduling import no_garbage_collection
+    from testbed.realtime.scheduling import steady_memory
     from testbed.rig.observers import MetricsObserver
     from testbed.rig.twin import make_twin
 
@@ -128,7 +128,7 @@ def main() -> None:
 
     def fly() -> None:
         rig, judge = make_twin(experiment), MetricsObserver(experiment.vehicles)
-        with no_garbage_collection():
+        with steady_memory():
             rig.fly(judge)
 
     fly()

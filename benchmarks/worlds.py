@@ -13,7 +13,7 @@ import subprocess
 import time
 
 from testbed.config import find, load
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin
 
@@ -42,7 +42,7 @@ print(worlds * seconds / (time.process_time() - began))
 def ours(experiment) -> float:
     """Vehicle-seconds per second of processor time of one flight."""
     rig, judge = make_twin(experiment), MetricsObserver(experiment.vehicles)
-    with no_garbage_collection():
+    with steady_memory():
         began = time.process_time()
         ending = rig.fly(judge)
         took = time.process_time() - began

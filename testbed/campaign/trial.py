@@ -15,7 +15,7 @@ from testbed.campaign.row import FlownRun, Kept, Number, Task, columns_of, outco
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, dump, loads
 from testbed.realtime.law_watch import complaint, patience
-from testbed.realtime.scheduling import no_garbage_collection, settle
+from testbed.realtime.scheduling import settle, steady_memory
 from testbed.rig.chain import watched
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin, warm_up
@@ -37,7 +37,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> FlownRun:
         judge = MetricsObserver(experiment.vehicles)
         with watched(experiment, slow=False):  # a result must not depend on the machine's speed
             rig = make_twin(experiment)
-            with no_garbage_collection():
+            with steady_memory():
                 ending = rig.fly(judge)
             if ending.fault is None and (complained := complaint()):
                 ending = replace(ending, fault=complained)

@@ -33,7 +33,7 @@ from testbed.metrics.run_metrics import Metrics, ReferenceLog, with_jets
 from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.pacer import PacedClock
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.compile_ahead import compiling_ahead
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver, handles_single_ticks
@@ -260,7 +260,7 @@ def _fly(
         heartbeat().beat()  # also while vehicles are waited for, and while they brake
         return interrupt.asked or int(log.trouble is not None)
 
-    with no_garbage_collection():
+    with steady_memory():
         began = time.perf_counter()
         ending = rig.fly(log, stopped)
         wall = time.perf_counter() - began

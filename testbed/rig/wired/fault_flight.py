@@ -15,7 +15,7 @@ import msgspec
 
 from testbed.config import load
 from testbed.files import write_atomic
-from testbed.realtime.scheduling import no_garbage_collection
+from testbed.realtime.scheduling import steady_memory
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.host import WireRig
@@ -35,7 +35,7 @@ def main() -> int:
         )
 
     rig.on_start = started
-    with no_garbage_collection():
+    with steady_memory():
         ending = rig.fly(NullObserver())
     left = ending, rig.supervisor.phase, rig.red
     write_atomic(folder / "ending.json", msgspec.json.encode(left))

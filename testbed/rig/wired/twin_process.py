@@ -22,7 +22,7 @@ from sim_twin.camera import Cameras
 from testbed.config import ConfigError, Experiment, load
 from testbed.files import write_atomic
 from testbed.realtime.processes import orphaned, run_as_child
-from testbed.realtime.scheduling import no_garbage_collection, prefer_process, realtime_priority
+from testbed.realtime.scheduling import prefer_process, realtime_priority, steady_memory
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.server import TableServer, pty_path
 
@@ -57,7 +57,7 @@ def serve(
         for pid in server.pids.values():  # a real chip never waits for a CPU
             prefer_process(pid, PRIORITY + 10)
         with (
-            no_garbage_collection(),
+            steady_memory(),
             realtime_priority(PRIORITY),
             contextlib.suppress(KeyboardInterrupt),
         ):

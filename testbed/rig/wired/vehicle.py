@@ -37,7 +37,7 @@ from testbed.net.links import Party, ZenohVehicleLink
 from testbed.net.roll_call import Enrolment, farewell, last_words
 from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.law_watch import patience
-from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
+from testbed.realtime.scheduling import realtime_priority, steady_memory
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.chain import brakes_first, watched
 from testbed.rig.forked import ForkedAgent, make_vehicle
@@ -159,7 +159,7 @@ class VehicleProcess:
             self.clock_of_host.to_own,
         )  # fmt: skip
         # now, because the last garbage collection takes time
-        self.stack.enter_context(no_garbage_collection())
+        self.stack.enter_context(steady_memory())
         await_alone(session, keys, name)
         try:
             listener = StopListener(
