@@ -3,10 +3,9 @@
 import re
 import tomllib
 from collections.abc import Iterator
-from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from testbed.config.error import ConfigError
 from testbed.config.key import DEEPEST, Key
@@ -31,7 +30,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_text(data: bytes, where: str) -> dict[str, Any]:
     """TOML text as a tree of tables; `where` names its source."""
     try:
-        return deepcopy(_parsed(data))
+        return cast(dict[str, Any], _copied(_parsed(data)))
     except ValueError as error:
         raise ConfigError(where, "", "a TOML file", str(error)) from None
 
@@ -61,6 +60,13 @@ def parse(data: bytes) -> dict[str, Any]:
 
 # the same vehicle is read for each name, and the same experiment for each run of a campaign
 _parsed = lru_cache(maxsize=16)(parse)
+
+
+def _copied(node: Any) -> Any:
+    """Tables and lists anew; TOML's values cannot be changed."""
+    if isinstance(node, dict):
+        return {name: _copied(child) for name, child in node.items()}
+    return [_copied(child) for child in node] if isinstance(node, list) else node
 
 
 def _children(node: Any) -> list[Any]:
