@@ -131,17 +131,18 @@ def _calibrated(
 
 
 def _out_of_time(c: Calibration) -> list[Suspicion]:
-    """A delay that no vehicle can have, or that is much longer than the file's."""
+    """A delay that surely no vehicle can have, or that is surely much longer than the file's."""
     k = c.model.index("delay")
     late, file = float(c.estimate.p[k]), c.model.parameters[k].value
-    if late - file > LATE and interval(c, k)[0] - file > 0.5 * LATE:
+    low, high = interval(c, k)
+    if late - file > LATE and low - file > 0.5 * LATE:
         text = (
             f"the vehicle moves {1e3 * late:.3g} ms after its commands, {1e3 * file:.3g} ms in the"
             " file: old poses (`latency_s` of [pose]), commands that wait, or the times of two"
             " clocks? Then it is no delay of the valves"
         )
         return [Suspicion("long-delay", text, refuses=False)]
-    if late > -EARLY:
+    if late > -EARLY or high > 0.0:
         return []
     causes = ["a wrong `latency_s` of [pose]", "poses and commands with the times of two clocks"]
     if c.model.valves:

@@ -10,7 +10,13 @@ from testbed.config.tree import read_toml
 from testbed.identification.calibration_file import report_of, save
 from testbed.identification.jets import examine
 from testbed.identification.model import VehicleModel
-from testbed.identification.motion import _certain, calibrate_motion, identifiable, thrusts
+from testbed.identification.motion import (
+    _certain,
+    _out_of_time,
+    calibrate_motion,
+    identifiable,
+    thrusts,
+)
 from testbed.identification.prediction import Valves
 from testbed.identification.suspicion import start_of
 from testbed.identification.synthetic import excitation, flown_log
@@ -100,6 +106,9 @@ def test_a_negative_delay_is_named_and_its_comment_true(flight, floater, tmp_pat
     early = log._replace(t=log.t - 0.06)
     found = calibrate_motion([early], floater)
     assert [one.name for one in found.suspicions if not one.refuses] == ["negative-delay"]
+    wide = found.wide._replace(p=found.wide.p.copy())
+    wide.p[found.model.index("delay")] += 0.2  # now its interval has a delay that can be
+    assert _out_of_time(found._replace(wide=wide)) == []
     path = tmp_path / "own.toml"
     save(path, found, "generic_8jet", [early], date(2026, 1, 1))
     line = next(one for one in path.read_text().splitlines() if one.startswith("open_delay_s"))
