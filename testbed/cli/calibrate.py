@@ -35,6 +35,9 @@ from testbed.identification.validation import validate
 from testbed.identification.validation_page import write_page
 from testbed.identification.vehicle_file import load_vehicle
 
+# of numbers without a unit: of all jets' thrust, and of what it loses per further open jet
+UNITS = {"thrust": "x file's", "droop": "per jet"}
+
 screen = Console(highlight=False, soft_wrap=True)
 screen_of_steps = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -157,7 +160,7 @@ def motion(
         note = "" if row["identifiable"] else "  not identifiable from this log"
         print_text(
             screen,
-            f"{name:<10} {row['value']:>10.5g} {row['unit']:<9}"
+            f"{name:<10} {row['value']:>10.4g} {UNITS.get(name, row['unit']):<9}"
             f" 95 %: {row['low']:.4g} to {row['high']:.4g}{kept}{note}",
         )
     for row in result["jets"]:

@@ -42,7 +42,8 @@ def floor(
         with Steps(screen_of_steps, silent=as_json) as progress:
             logs = read_logs(given, progress)
             warn_of_second_use(vehicle, logs)
-            base = load_table(table) if table or given.mapping else table_of(given.paths, None)
+            stated = table or (size and given.mapping)  # else the size may have to be guessed
+            base = load_table(table) if stated else table_of(given.paths, given.mapping)
             named = load_mapping(given.mapping).table if given.mapping else None
             span = size or named or base.size
             check_path(logs, span)
@@ -78,8 +79,9 @@ def floor(
     warn([f"{one.name}: {one.text}" for one in doubts])
     print_text(
         screen,
-        f"slope map of {nodes} x {nodes} nodes; {100 * result['known_share']:.0f} % of them are"
-        f" told by the logs, at most {1e3 * result['largest_m_s2']:.1f} mm/s^2 there",
+        f"slope map of {nodes} x {nodes} nodes over {span[0]:g} m x {span[1]:g} m;"
+        f" {100 * result['known_share']:.0f} % of them are told by the logs, at most"
+        f" {1e3 * result['largest_m_s2']:.1f} mm/s^2 there",
     )
     return OK
 
