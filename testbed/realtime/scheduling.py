@@ -17,8 +17,8 @@ TRIM, MAP = -1, -3  # options of mallopt(3)
 def _keep_freed_memory() -> None:
     """Let the heap of glibc use freed memory again.
 
-    It gives larger arrays back to the system at once, and asks for new pages for the next table of
-    ticks, 2000 in a flight with its log. That takes a thirtieth of the flight.
+    It gives much of it back to the system, and asks for new pages for the next table of ticks, 2000
+    in a flight with its log. That takes a fiftieth of the flight.
     """
     with suppress(AttributeError, OSError):  # another C library
         heap = ctypes.CDLL(None).mallopt
