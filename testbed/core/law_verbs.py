@@ -24,6 +24,7 @@ _RATES: dict[type, Callable] = {}  # by the type of a law's gains
 _JUMPS: dict[type, Callable] = {}
 _BROADCASTS: dict[type, Callable] = {}
 
+ASKED = "gains", "law_state", "own", "neighbours", "world", "t"  # arguments of all these functions
 WRITES = "force", "change"  # the last arguments of a rate that writes, and returns nothing
 
 
@@ -32,8 +33,20 @@ def compiled_rate(gains_type: type) -> Callable[[F], F]:
 
     It returns the force (d,) and the rate of the law's state (n,). If it has the arguments `force`
     and `change` after `t`, it writes to these instead: a new array takes a tenth of a law's time.
+
+    Raises:
+        TypeError: the function has other arguments.
     """
-    return _compiled_into(_RATES, gains_type)
+    into = _compiled_into(_RATES, gains_type)
+
+    def decorate(function: F) -> F:
+        names = tuple(inspect.signature(function).parameters)
+        if names[len(ASKED) :] not in ((), WRITES) or len(names) < len(ASKED):
+            both = f"({', '.join(ASKED)}), or with {' and '.join(WRITES)} after them"
+            raise TypeError(f"expected rate{both}, found ({', '.join(names)})")
+        return into(function)
+
+    return decorate
 
 
 def compiled_jump(gains_type: type) -> Callable[[F], F]:

@@ -145,3 +145,11 @@ def test_what_a_rate_does_not_write_is_no_number(scene):
     law = CompiledLaw(Forgotten(1.0), None, forgotten)
     force, change = law.rate(np.zeros(2), *scene, 0.0)
     assert (force[0], np.isnan(force[1]), np.isnan(change).all()) == (1.0, True, True)
+
+
+@pytest.mark.parametrize("names", ["gains, own, t", "g, z, own, others, world, t, out, change"])
+def test_a_rate_with_other_arguments_is_refused(names):
+    here = {}
+    exec(f"def rate({names}): pass", here)
+    with pytest.raises(TypeError, match=f"or with force and change after them, found .{names}"):
+        compiled_rate(Written)(here["rate"])
