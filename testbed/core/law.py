@@ -4,7 +4,8 @@ A law of the papers is a small dynamical system written once, in continuous time
 
     force, law_state_rate = rate(gains, law_state, own, neighbours, world, t)
 
-with positions of shape (d,), d = 2 on the table and d = 3 in orbit. The law does not integrate
+or, without new arrays, writes both to its last two arguments (`law_verbs.compiled_rate`); with
+positions of shape (d,), d = 2 on the table and d = 3 in orbit. The law does not integrate
 its state; `propagate` does, together with a double integrator as the model of the satellite.
 
 A law of a formation may have two more functions. `broadcast` sends a message to the others, for
@@ -228,7 +229,7 @@ def bounded(force, limit):
 
 @inlined
 def shorten(force, limit):
-    """`bounded`, in place."""
+    """Shorten `force` (d,) in place to the norm `limit` if it is longer, direction kept."""
     square = 0.0
     for i in range(force.shape[0]):
         square += force[i] * force[i]
@@ -308,8 +309,8 @@ def fly_ahead(d, gains, law_state, own, neighbours, world, t, duration, steps):
             neighbours.vehicle_index, neighbours.message, neighbours.message_t,
         )
     )  # fmt: skip
-    ahead = Goal(goal_p, goal_v, goal_a, jerk)
-    scene = borrowed(World(ahead, Discs(obstacles_p, obstacles.v, obstacles.radius)))
+    target = Goal(goal_p, goal_v, goal_a, jerk)
+    scene = borrowed(World(target, Discs(obstacles_p, obstacles.v, obstacles.radius)))
     gains, state = borrowed(gains), borrowed(z)
     for k in range(steps):
         write_rate(gains, state, body, others, scene, t + k * h, force, z_rate)

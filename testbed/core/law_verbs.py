@@ -42,8 +42,8 @@ def compiled_rate(gains_type: type) -> Callable[[F], F]:
     def decorate(function: F) -> F:
         names = tuple(inspect.signature(function).parameters)
         if names[len(ASKED) :] not in ((), WRITES) or len(names) < len(ASKED):
-            both = f"({', '.join(ASKED)}), or with {' and '.join(WRITES)} after them"
-            raise TypeError(f"expected rate{both}, found ({', '.join(names)})")
+            expected = f"rate({', '.join(ASKED)}), or with {' and '.join(WRITES)} after them"
+            raise TypeError(f"expected {expected}, found ({', '.join(names)})")
         return into(function)
 
     return decorate

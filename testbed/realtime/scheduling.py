@@ -10,19 +10,20 @@ from functools import cache
 from pathlib import Path
 
 KEPT = 16 * 2**20  # freed memory that is not given back to the system [bytes]
-TRIM, MAP = -1, -3  # options of mallopt(3)
+TRIM, MAP = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of mallopt(3)
 
 
 @cache
 def _keep_freed_memory() -> None:
-    """Let the heap of glibc use freed memory again.
+    """Let the heap of glibc keep freed memory and use it again.
 
-    It gives much of it back to the system, and asks for new pages for the next table of ticks, 2000
-    in a flight with its log. That takes a fiftieth of the flight.
+    By default it gives much of it back to the system and asks for new pages for the next table of
+    ticks: 2000 pages in a flight with its log, which take a fiftieth of its time.
     """
     with suppress(AttributeError, OSError):  # another C library
-        heap = ctypes.CDLL(None).mallopt
-        heap(TRIM, KEPT), heap(MAP, KEPT)
+        set_option = ctypes.CDLL(None).mallopt
+        for option in (TRIM, MAP):
+            set_option(option, KEPT)
 
 
 @contextmanager

@@ -72,3 +72,17 @@ def test_a_path_beside_the_table_is_refused(files, tmp_path, middle):
     assert "expected  a path on the table of 3 m x 3 m" in result.stderr
     assert "see `middle`" in result.stderr
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "size", "guessed"),
+    [([], "6 m x 6 m", True), (["--size", 5.0, 4.0], "5 m x 4 m", False)],
+)
+def test_the_size_of_the_map_is_printed_and_a_guess_is_a_warning(files, given, size, guessed):
+    mapping, log, _ = files
+    assert "table =" not in mapping.read_text()
+    words = ["calibrate", "floor", log, "--mapping", mapping, "--vehicle", "generic_8jet"]
+    result = CliRunner().invoke(main, [str(word) for word in [*words, "--nodes", 3, *given]])
+    assert result.exit_code == 0, result.stderr
+    assert f"slope map of 3 x 3 nodes over {size}" in result.stdout
+    assert ("the mapping has no `table`" in result.stderr) == guessed
