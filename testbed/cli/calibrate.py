@@ -11,7 +11,7 @@ from rich.console import Console
 from testbed.cli.base_table import table_of, tilted
 from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.flight_logs import FlightLogs
-from testbed.cli.refusal import refuse, warn
+from testbed.cli.refusal import errors, refuse, warn
 from testbed.cli.screen import print_json, print_text
 from testbed.cli.steps import Steps
 from testbed.core.error import TestbedError
@@ -39,7 +39,6 @@ from testbed.identification.vehicle_file import load_vehicle
 UNITS = {"thrust": "x file's", "droop": "per jet"}
 
 screen = Console(highlight=False, soft_wrap=True)
-screen_of_steps = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def today() -> Any:
@@ -130,7 +129,7 @@ def motion(
     try:
         check_outputs(out, table_out)
         check_valves(given.mapping, load_vehicle(vehicle))
-        with Steps(screen_of_steps, silent=as_json) as progress:
+        with Steps(errors, silent=as_json) as progress:
             logs = read_logs(given, progress)
             warn_of_second_use(vehicle, logs)
             found = calibrate_motion(
@@ -187,13 +186,13 @@ def check_against(
         check_outputs(out)
         own = load_vehicle(vehicle)
         check_valves(given.mapping, own)
-        with Steps(screen_of_steps, silent=as_json) as progress:
+        with Steps(errors, silent=as_json) as progress:
             logs = read_logs(given, progress)
             other = load_vehicle(against) if against else None
             surface = load_table(table) if table else None
             doubts = doubts_about(logs, own, vehicles_of(given.mapping), progress)
             progress("predict the logs")
-            result, errors = validate(logs, own, other, surface)
+            result, by_horizon = validate(logs, own, other, surface)
         seen = [log.where for log in logs if _knows(vehicle, log)]
         result |= {
             "files": {"vehicle": vehicle, "against": against, "table": table},
@@ -203,7 +202,7 @@ def check_against(
         if any(one.name == "other-vehicle" for one in doubts):
             result["verdict"] = f"Perhaps another vehicle's log. {result['verdict']}"
         if out is not None:
-            write_page(out, f"Validation of {vehicle}", result, errors)
+            write_page(out, f"Validation of {vehicle}", result, by_horizon)
     except TestbedError as error:
         return refused(error, as_json=as_json)
     if as_json:
@@ -310,7 +309,7 @@ def mocap(
                 raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
             own = load_vehicle(vehicle)
             check_valves(mapping, own)
-            with Steps(screen_of_steps, silent=as_json) as progress:
+            with Steps(errors, silent=as_json) as progress:
                 (log,) = read_logs(FlightLogs([path], mapping, body, None, None), progress)
                 found = calibrate_motion(
                     [log], own, others=vehicles_of(mapping), force=force, progress=progress

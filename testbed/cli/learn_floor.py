@@ -9,14 +9,13 @@ from testbed.cli.calibrate import (
     read_logs,
     refused,
     screen,
-    screen_of_steps,
     today,
     vehicles_of,
     warn_of_second_use,
 )
 from testbed.cli.exit_code import OK
 from testbed.cli.flight_logs import FlightLogs
-from testbed.cli.refusal import warn
+from testbed.cli.refusal import errors, warn
 from testbed.cli.screen import print_json, print_text
 from testbed.cli.steps import Steps
 from testbed.core.error import TestbedError
@@ -39,7 +38,7 @@ def floor(
         check_outputs(out, vehicle_out, drawn)
         own = load_vehicle(vehicle)
         check_valves(given.mapping, own)
-        with Steps(screen_of_steps, silent=as_json) as progress:
+        with Steps(errors, silent=as_json) as progress:
             logs = read_logs(given, progress)
             warn_of_second_use(vehicle, logs)
             stated = table or (size and given.mapping)  # else the size may have to be guessed
