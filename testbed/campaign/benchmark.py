@@ -7,6 +7,7 @@ campaign over its laws, once with the vehicles as their file describes them and 
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +16,7 @@ import tomli_w
 from msgspec import Meta, Struct, field
 
 from testbed.campaign.row import FLOWN, FlownRun, Number, check_columns
+from testbed.campaign.summary import short_reason
 from testbed.campaign.sweep import (
     Campaign,
     CampaignFile,
@@ -74,6 +76,8 @@ class Score(Struct, frozen=True):
     robust_runs: int
     robust_passed: int
     rig: str = "twin"
+    reasons: dict[str, int] = {}  # why runs did not pass, and how many; most frequent first
+    robust_reasons: dict[str, int] = {}
 
 
 class PassedOver(Struct, frozen=True):
@@ -188,7 +192,15 @@ def score(scenario: str, law: str, runs: Sequence[FlownRun], off: Sequence[Flown
         valve_pulses=middle("valve_pulses"),
         robust_runs=len(off),
         robust_passed=sum(run.outcome == "passed" for run in off),
+        reasons=reasons(runs),
+        robust_reasons=reasons(off),
     )
+
+
+def reasons(runs: Sequence[FlownRun]) -> dict[str, int]:
+    """Why runs did not pass, and how many; most frequent first."""
+    counts = Counter(short_reason(run) for run in runs if run.outcome != "passed")
+    return dict(counts.most_common())
 
 
 def known(value: float) -> float | None:

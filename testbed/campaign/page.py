@@ -34,7 +34,7 @@ PAGE = """# The benchmark of record
 
 {table}
 {columns}
-
+{reasons}
 ## What is flown, and when it has passed
 
 {scenarios}
@@ -82,11 +82,27 @@ def page(record: Record, path: Path, file: BenchmarkFile, options: str) -> str:
         head=wrapped(head(record, path, options)),
         table=markdown(record.scores),
         columns=bullets(meaning),
+        reasons=not_passed(record.scores),
         scenarios=bullets(scenarios(path, file)),
         evidence=wrapped(evidence(record.scores)),
         notes=f"\n{bullets(file.notes)}\n" if file.notes else "",
         lab=lab(record, file),
     )
+
+
+def not_passed(table: Sequence[Score]) -> str:
+    """The section that says why runs did not pass; empty if all did."""
+    lines = [f"**{row}**: {why}" for row, why in reasons_of(table)]
+    return f"\n## Why runs did not pass\n\n{bullets(lines)}\n" if lines else ""
+
+
+def reasons_of(table: Sequence[Score]) -> Iterator[tuple[str, str]]:
+    """Each row with runs that did not pass, and why, with the number of runs."""
+    for row in table:
+        for kind, why in (("", row.reasons), (" (robust)", row.robust_reasons)):
+            if why:
+                words = "; ".join(f"{reason} ({count})" for reason, count in why.items())
+                yield f"{row.scenario}, {row.law}{kind}", words
 
 
 def head(record: Record, path: Path, options: str) -> str:

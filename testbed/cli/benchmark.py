@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table as Grid
 
 from testbed.campaign.benchmark import (
@@ -22,7 +23,7 @@ from testbed.campaign.benchmark import (
 from testbed.campaign.engine import workers
 from testbed.campaign.flight import JOURNAL, RunFunctions, fly_campaign
 from testbed.campaign.folders import score_folders
-from testbed.campaign.page import COLUMNS, cells_of, page
+from testbed.campaign.page import COLUMNS, cells_of, page, reasons_of
 from testbed.campaign.sweep import experiment_path
 from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
@@ -194,4 +195,12 @@ def print_scores(table: list[Score]) -> None:
         grid.add_column(heading, justify="right")
     for row, cells in zip(table, cells_of(table), strict=True):
         grid.add_row(*cells, style="red" if row.passed < row.runs else None)
-    show(Console(highlight=False), grid)
+    out = Console(highlight=False)
+    show(out, grid)
+    why = list(reasons_of(table))
+    if why:
+        lines = Grid("not passed", "reason (runs)", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for row in why:
+            lines.add_row(*map(escape, row))
+        out.print()
+        show(out, lines)

@@ -21,7 +21,7 @@ from testbed.campaign.benchmark import (
 )
 from testbed.campaign.evidence import read_run, track_of
 from testbed.campaign.folders import differences, same_law, score_folders
-from testbed.campaign.page import markdown, page
+from testbed.campaign.page import markdown, page, reasons_of
 from testbed.campaign.row import FlownRun, columns_of
 from testbed.campaign.score import beside_metrics, goal_at, wanted_distances
 from testbed.config import SHIPPED as CONFIGS
@@ -113,6 +113,21 @@ def test_what_is_no_number_of_one_vehicle_is_none_of_all(first):
     assert columns["goal_rms_m"] is None
     assert columns[f"{first}.goal_rms_m"] is None
     assert columns["sat3.goal_rms_m"] == 0.1
+
+
+def test_a_score_says_why_runs_did_not_pass_the_most_frequent_reason_first():
+    missed = [FlownRun(k, "failed", "hold_rms_m") for k in range(2)]
+    late = FlownRun(2, "failed", "settle_s is 91.5, more than 90")
+    later = FlownRun(3, "failed", "settle_s is 120.1, more than 90")
+    passed = FlownRun(4, "passed")
+    one = score("step", "pd", [late, later, *missed, *missed[:1], passed], [passed, late])
+    settles = "failed: settle_s is ... more than ..."
+    assert list(one.reasons.items()) == [("failed: hold_rms_m", 3), (settles, 2)]
+    other = score("step", "lqr", [passed])
+    assert list(reasons_of([other, one])) == [
+        ("step, pd", f"failed: hold_rms_m (3); {settles} (2)"),
+        ("step, pd (robust)", f"{settles} (1)"),
+    ]
 
 
 def test_a_law_that_raises_has_a_row_without_numbers():
