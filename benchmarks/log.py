@@ -24,7 +24,7 @@ from testbed.metrics.run_metrics import ReferenceLog
 from testbed.realtime.scheduling import steady_memory
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin, warm_up
-from testbed.run.fly import FlightLog, FlightScreen, names_of
+from testbed.run.fly import FlightLog, FlightScreen, names_of, tick_of
 from testbed.run.markers import scene_of
 
 LIMITS = {"megabytes": 3.0, "share of the flight": 0.10, "columns [s]": 0.1}
@@ -40,7 +40,11 @@ def flown(experiment: Experiment, path: Path | None) -> tuple[float, float]:
             rig.fly(MetricsObserver(experiment.vehicles))
         return time.process_time() - began, 0.0
     recorder = Recorder(
-        path, names=names_of(experiment), span_ns=FAST_SPAN_NS, scene=scene_of(experiment)
+        path,
+        names=names_of(experiment),
+        span_ns=FAST_SPAN_NS,
+        tick_ns=tick_of(experiment),
+        scene=scene_of(experiment),
     )
     references = {name: ReferenceLog() for name in experiment.vehicles}
     with recorder:

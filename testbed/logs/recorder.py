@@ -91,7 +91,8 @@ class Recorder:
         names: that rows refer to by number.
         waits: wait for a slow writer; otherwise rows are lost.
         warn_below, end_below: limits of free disk space [bytes].
-        span_ns: time of the run per chunk.
+        span_ns: time of the run per chunk, which ends with the last tick in it.
+        tick_ns: from one tick to the next.
         epoch_ns: time of the log, UTC, at time 0 of the run; may be set later, see `epoch_ns`.
         scene: a MarkerArray to begin with, see extras.py; empty: none.
 
@@ -108,6 +109,7 @@ class Recorder:
         *,
         waits: bool = True,
         span_ns: int = SPAN_NS,
+        tick_ns: int = 0,
         epoch_ns: int = 0,
         scene: bytes = b"",
     ) -> None:
@@ -121,8 +123,8 @@ class Recorder:
             *(str(path), str(warn_below), str(end_below)),
         ]
         self._met = False  # the writer has created the file
-        self._span = span_ns
-        self._marked = -span_ns  # time of the last mark [ns]
+        self._span, self._tick = span_ns, tick_ns
+        self._begins: int | None = None  # time of the chunk's first tick [ns]
         self._unread = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line
         self._pack = msgspec.msgpack.Encoder().encode_into
@@ -198,9 +200,14 @@ class Recorder:
 
     def due_in(self, times: Sequence[float]) -> int:
         """How many of the ticks at these times come until the next `mark`."""
-        due = self._marked + self._span
-        late = (k for k, t in enumerate(times, 1) if round(t * 1e9) >= due)
-        return next(late, len(times))
+        last = (k for k, t in enumerate(times, 1) if self._is_last(round(t * 1e9)))
+        return next(last, len(times))
+
+    def _is_last(self, now: int) -> bool:
+        """Whether the tick at this time [ns] is the last one of the chunk."""
+        if self._begins is None:
+            self._begins = now
+        return now + self._tick - self._begins >= self._span
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""
@@ -261,7 +268,7 @@ class Recorder:
             RecorderError: the writer has ended, or the disk is nearly full.
         """
         now = round(t * 1e9)
-        due = now - self._marked >= self._span
+        due = self._is_last(now)
         if self._fast and not due and len(self._block) < LARGEST:
             if self._pending:
                 self._hand_over()
@@ -269,7 +276,7 @@ class Recorder:
         if self._block:
             self._append(self._block.take())
         if due:
-            self._marked = now
+            self._begins = now + self._tick
             self._send(Mark())
         self._hand_over()
         assert self._writer.stderr is not None

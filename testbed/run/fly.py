@@ -179,6 +179,11 @@ def span_of(experiment: Experiment) -> int:
     return CAREFUL_SPAN_NS if own else FAST_SPAN_NS
 
 
+def tick_of(experiment: Experiment) -> int:
+    """Time from one tick to the next [ns]."""
+    return round(1e9 * experiment.flight.jet_period_s)
+
+
 def fly_and_judge(
     experiment: Experiment,
     folder: Path,
@@ -219,8 +224,8 @@ def _fly_and_judge(
     fast = rig.name == "twin" and pace is None
     recorder = Recorder(
         folder / "log.mcap", names=names_of(experiment), waits=rig.name == "twin",
-        span_ns=span_of(experiment) if fast else SPAN_NS, epoch_ns=epoch_ns,
-        scene=scene_of(experiment),
+        span_ns=span_of(experiment) if fast else SPAN_NS, tick_ns=tick_of(experiment),
+        epoch_ns=epoch_ns, scene=scene_of(experiment),
     )  # fmt: skip
     metrics, ending = None, Ending(0.0, None)
     try:

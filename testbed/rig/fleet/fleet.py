@@ -76,9 +76,11 @@ class Fleet:
         if not self._twin.plant.valves_healthy:
             return None
         times = [n * self._period for n in range(k, min(k + AHEAD, last))]
-        turns = [host.turns_ahead(times) for host in self._hosts]
-        count = min(len(one) for one in turns)
-        if count == 0 or (count := min(count, *(node.rows_free() for node in self._nodes))) == 0:
+        if (free := min(node.rows_free() for node in self._nodes)) == 0:
+            return None
+        pairs = zip(self._nodes, self._hosts, strict=True)
+        turns = [host.turns_ahead(times[:free], node.row) for node, host in pairs]
+        if (count := min(len(one) for one in turns)) == 0:
             return None
         out, twin = self._out, self._twin
         out.progress[:], out.openings[:], out.now[0] = 0, 0, twin.plant.t

@@ -46,16 +46,18 @@ class TwinHost(ForkedHost):
         self._answer: list[float] | None = None  # at the coming tick, if it has been flown
         self._rows = Bundle(self._table)
 
-    def turns_ahead(self, times: Iterable[float]) -> list[tuple[float, float, float]]:
+    def turns_ahead(self, times: Iterable[float], row: int) -> list[tuple[float, float, float]]:
         """The turns of the law's model at ticks that may be flown ahead now.
 
         Args:
             times: of the next ticks [s].
+            row: the next one of the vehicle's table. The law's table begins anew with it: the log
+                takes the rows of both together.
         """
         waits = self.later or self._fault is not None or self.stick is not None
         if waits or (self.pilot is not None and self.pilot.flies) or self.guidance.model is None:
             return []
-        if self._k == len(self._table.t):
+        if self._k == len(self._table.t) or self._k > row:
             self._new_table()
         if not self._refresh():
             return []
