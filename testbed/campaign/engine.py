@@ -94,6 +94,9 @@ def workers(jobs: int, scheduler: str | None, tasks: int | None = None) -> Itera
         "distributed.worker.profile.enabled": False,  # else a worker grows by 5 MB a minute
         "distributed.worker.preload": ["testbed.campaign.preload"],
         "distributed.comm.timeouts.connect": "10s",
+        # by default every process of Dask wakes 50 times a second, which takes 3 % of a core
+        "distributed.admin.tick.interval": "1s",
+        "distributed.admin.system-monitor.interval": "10s",
     }
     with dask.config.set(settings), _quiet():
         if scheduler is None:

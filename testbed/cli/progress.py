@@ -41,6 +41,7 @@ class Bar(CampaignObserver):
             TaskProgressColumn(), TextColumn("after"), TimeElapsedColumn(),
             TextColumn("left"), TimeRemainingColumn(),
             console=errors, transient=True, disable=not errors.is_terminal,
+            refresh_per_second=2,  # ten, the default, take 2 % of a core
         )  # fmt: skip
         self._words = "getting ready (compiles on the first run)"
         self._total = self._passed = self._over = self._here = 0

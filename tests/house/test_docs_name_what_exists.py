@@ -31,6 +31,7 @@ FLIES = {"admit", "check", "poses", "run", "twin"}  # these take the name of an 
 GROUPS = {plugin.LAWS, plugin.MOCAP, plugin.THRUSTERS}  # of entry points
 TICK = {"inputs": Inputs, "outputs": Outputs}
 QUOTED = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 
@@ -149,6 +150,24 @@ def test_links_of_a_page_lead_somewhere(page):
     targets = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
     local = [target for target in targets if "://" not in target]
     assert [target for target in local if not (page.parent / target).exists()] == []
+
+
+def uneven(text: str) -> Iterator[str]:
+    """Rows of tables that do not have as many cells as their first row."""
+    for table in TABLE.findall(FENCED.sub("", text)):
+        head, *rows = (line.replace("\\|", "") for line in table.splitlines())
+        yield from (row for row in rows if row.count("|") != head.count("|"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_rows_of_tables_have_as_many_cells_as_their_heading(page):
+    assert list(uneven(page.read_text(encoding="utf-8"))) == []
+
+
+def test_an_uneven_row_is_found():
+    table = "| a | b |\n|---|---|\n| `x \\| y` | 2 |\n"
+    assert list(uneven(table)) == []
+    assert list(uneven(f"{table}| 1 | 2 | 3 |\n")) == ["| 1 | 2 | 3 |"]
 
 
 def anchors(page: Path) -> set[str]:
