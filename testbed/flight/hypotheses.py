@@ -10,6 +10,7 @@ sure that is.
     MASS    the same of the push only                            x = the jets' push
     TURNED  the cameras' heading is off                          x = the push turned by 90 degrees
     LATE    poses are older than their stamps                    x = an earlier push less this one
+    TWIST   a constant torque: a hose, the bearings' air         x = (0, 0, h)
     NUDGE   a push at once, and none after it                    see nudges.py
 """
 
@@ -27,13 +28,14 @@ from testbed.core.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-LEAK, WEAK, PULL, DRAG, THRUST, MASS, TURNED, LATE, NUDGE = range(9)
-KINDS = 9
+LEAK, WEAK, PULL, DRAG, THRUST, MASS, TURNED, LATE, TWIST, NUDGE = range(10)
+KINDS = 10
 DELAYS = 4  # tested delays: 1 to so many looks
 # columns, after those of the jets
-X, Y, SLOWED, ALL, PUSHED, ROTATED, DELAYED = range(7)
+X, Y, SPUN, SLOWED, ALL, PUSHED, ROTATED, DELAYED = range(8)
 COLUMNS = DELAYED + DELAYS
 MOST_PULL = 1.0  # [m/s^2]
+MOST_TWIST = 10.0  # [rad/s^2]
 MOST_DRAG = 20.0  # [N s/m]
 MOST_SCALE = 3.0  # thrust of four times the file's
 MOST_TURN = 0.6  # [rad]
@@ -69,7 +71,7 @@ def causes(fresh, first, push, before, now, period, pads, evidence, look):
         evidence: causes of the last looks, see jet_faults.Evidence.recent.
         look: number of this one.
     """
-    fresh[0, first + X] = fresh[1, first + Y] = period
+    fresh[0, first + X] = fresh[1, first + Y] = fresh[2, first + SPUN] = period
     for axis in range(3):
         fresh[axis, first + SLOWED] = (
             -0.5 * period * pads[axis // 2] * (before[(axis + 1)] + now[(axis + 1)])
@@ -94,19 +96,36 @@ def gained(fits, own, low, high):
 
 
 @compiled
-def score(fits, own, first, period, always, gains, sizes, way):
-    """Keep the best of every kind in `gains` and `sizes`, and the direction of a pull in `way`."""
+def score(fits, own, first, period, start, scales, gains, sizes, way):
+    """Keep the best of every kind in `gains` and `sizes`, and the direction of a pull in `way`.
+
+    What a file says wrongly has been wrong since before the flight. Thrust may also be lost in it.
+
+    Args:
+        fits: S of every column.
+        own: N of every column.
+        first: place of the first cause.
+        period: of a look [s].
+        start: whether these sums begin where those that remember most begin.
+        scales: whether thrust and mass are tested.
+        gains: changed in place.
+        sizes: changed in place.
+        way: changed in place.
+    """
     px, gain_x = gained(fits[first + X], own[first + X], -MOST_PULL, MOST_PULL)
     py, gain_y = gained(fits[first + Y], own[first + Y], -MOST_PULL, MOST_PULL)
     if gain_x + gain_y > gains[PULL]:
         gains[PULL], sizes[PULL] = gain_x + gain_y, np.sqrt(px * px + py * py)
         way[0], way[1] = px, py
+    one = first + SPUN
+    keep(TWIST, 1.0, gained(fits[one], own[one], -MOST_TWIST, MOST_TWIST), gains, sizes)
     one = first + SLOWED
     keep(DRAG, 1.0, gained(fits[one], own[one], 0.0, MOST_DRAG), gains, sizes)
-    if always:  # what a file says wrongly has been wrong since before the flight
+    if scales:
         for kind, column in ((THRUST, ALL), (MASS, PUSHED)):
             one = first + column
             keep(kind, 1.0, gained(fits[one], own[one], -1.0, MOST_SCALE), gains, sizes)
+    if start:
         one = first + ROTATED
         keep(TURNED, 1.0, gained(fits[one], own[one], -MOST_TURN, MOST_TURN), gains, sizes)
     for d in range(DELAYS):
@@ -217,6 +236,8 @@ def words(m: Any, kind: int, mass: float) -> str:
             return f"hose or tilt pulls with {mass * size:.2f} N towards {way:.0f} deg"
         case k if k == DRAG:
             return f"pads drag with {size:.1f} N s/m"
+        case k if k == TWIST:
+            return f"a hose or the bearings' air turns it by {math.degrees(size):.1f} deg/s^2"
         case k if k == THRUST:
             return f"jets give {1.0 + size:.0%} of the file's thrust"
         case k if k == MASS:

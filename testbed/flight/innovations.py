@@ -24,7 +24,18 @@ from testbed.core.se2 import to_table_compiled, wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import Vehicle
 from testbed.flight import effectiveness
-from testbed.flight.hypotheses import ALL, DELAYED, DELAYS, PUSHED, ROTATED, SLOWED, X, Y, pads_of
+from testbed.flight.hypotheses import (
+    ALL,
+    DELAYED,
+    DELAYS,
+    PUSHED,
+    ROTATED,
+    SLOWED,
+    SPUN,
+    X,
+    Y,
+    pads_of,
+)
 from testbed.flight.innovation_sums import FORGETS, Look, add, age, clear, learn, weigh
 from testbed.flight.record import record
 from testbed.flight.window import VERDICT, forget
@@ -36,7 +47,7 @@ MEMORY_S = 300.0  # time constant of forgetting [s]
 STAYS_S = 1000.0  # with which the uncertain parameters change [s, assumed]
 GAP = 1.0  # after this time without poses the filter begins anew [s]
 SLOPE = 0.02  # at the start, one sigma [m/s^2]
-SPIN = 5e-3  # unknown torque at the start, one sigma [rad/s^2]
+SPIN = 0.1  # at the start, one sigma, as a share of the hardest turn that is the jets'
 UNKNOWN = 0.2  # speed at the start, one sigma [m/s, rad/s]
 WANDER = 1e-4  # unexplained acceleration, random walk [m/s^2 / sqrt(s)]
 SPIN_WANDER = 1e-4  # [rad/s^2 / sqrt(s)]
@@ -54,6 +65,7 @@ class Known(NamedTuple):
     sure: Array  # 1 / tolerance^2 of z: thrust and direction of jets, inertia, mass centre, (m,)
     turned: Array  # torque of a jet's whole thrust that points 1 rad further, (n,) [N m]
     pads: Array  # see hypotheses.pads_of
+    spin: float  # unexplained at the start, one sigma [rad/s^2]
     hardest: Array  # largest acceleration that is the jets' [m/s^2, rad/s^2]
     period: float  # of a look [s]
     keep: float  # factor of forgetting, every FORGETS looks
@@ -129,7 +141,7 @@ def begin(p, m, sums, flown, sample):
     for axis in range(3):
         slope = m.cov[axis, 2, 2]
         if slope == 0.0:
-            slope = SPIN * SPIN if axis == 2 else SLOPE * SLOPE
+            slope = p.spin * p.spin if axis == 2 else SLOPE * SLOPE
         m.cov[axis] = 0.0
         m.cov[axis, 0, 0], m.cov[axis, 1, 1] = p.noise[axis // 2], UNKNOWN * UNKNOWN
         m.cov[axis, 2, 2] = slope
@@ -270,7 +282,7 @@ def effects(p, m, model, thrust_scale, gone, whole, acts, push):
         act[2, 2 * n] = push[kind, 2] - whole[kind] * model.spin_drag * m.x[2, 1]
         act[2, 2 * n + 1] = -fy * model.mass / model.inertia  # its centre is further along x, y
         act[2, 2 * n + 2] = fx * model.mass / model.inertia
-        act[0, other + X] = act[1, other + Y] = whole[kind]
+        act[0, other + X] = act[1, other + Y] = act[2, other + SPUN] = whole[kind]
         act[0, other + PUSHED], act[1, other + PUSHED] = push[kind, 0], push[kind, 1]
         act[0, other + ROTATED], act[1, other + ROTATED] = -push[kind, 1], push[kind, 0]
         for axis in range(3):
@@ -340,6 +352,6 @@ def known_of(
         vehicle.com,
         np.array([mocap.noise**2 + (x * x + y * y) * turn, turn]) + 1e-16,
         vehicle.tolerance.pulse, bumps * bumps / CELL, sure, np.array(turned), pads_of(vehicle),
-        hardest, period, 1.0 - min(0.5, FORGETS * period / MEMORY_S),
+        SPIN * hardest[1], hardest, period, 1.0 - min(0.5, FORGETS * period / MEMORY_S),
         1.0 - min(0.5, FORGETS * period / STAYS_S),
     )  # fmt: skip

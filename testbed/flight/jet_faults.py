@@ -125,9 +125,9 @@ class Evidence(NamedTuple):
 
     duty: Array  # sum over the ticks since the last look, (2, n)
     recent: Array  # z and causes of the last looks, not yet delayed, (looks, 3, m + n + COLUMNS)
-    bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
+    bias: Array  # slow mean of unexplained acceleration [m/s^2, rad/s^2], (3,)
     sums: Array  # of causes and residuals as of `residual`, (3, m + n + COLUMNS + 1)
-    calm: Array  # `bias` up to two spans of CALM ago, the older one first, (2, 2)
+    calm: Array  # `bias` up to two spans of CALM ago, the older one first, (2, 3)
     off: Array  # deviation of each jet from what the innovations believe, as a share of it, (n,)
     sigma: Array  # of that, (n,)
     near: Window  # of looks
@@ -206,7 +206,7 @@ def residual(before, now, duty, thrust_scale, known, evidence, look, late):
     slowed, unspun = 0.5 * period * known.drag, 0.5 * period * known.spin_drag
     e[0] = now[1] - before[1] - period * evidence.bias[0] + slowed * (before[1] + now[1])
     e[1] = now[2] - before[2] - period * evidence.bias[1] + slowed * (before[2] + now[2])
-    e[2] = now[3] - before[3] + unspun * (before[3] + now[3])
+    e[2] = now[3] - before[3] - period * evidence.bias[2] + unspun * (before[3] + now[3])
     push_x = push_y = 0.0
     for j in range(n):
         ax, ay = known.effect[0, j], known.effect[1, j]
@@ -269,7 +269,7 @@ def weigh(known, m, evidence, now, duty, thrust_scale):
     listen(near, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
     note(evidence.nudges.near, known.shown, m.look, weight, known.keep, x)
-    for axis in range(2):
+    for axis in range(3):
         bias[axis] += settling * x[axis, -1] / known.period
     if m.look % SHOWN == 0:
         resolve(evidence.innovations.slow, known.innovations.sure, evidence.off, evidence.sigma)

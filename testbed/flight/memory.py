@@ -82,7 +82,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), *3 * [(plans, jets)], one_a_jet, one_a_jet],
         Evidence: [
-            (2, jets), (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
+            (2, jets), (looks, 3, causes), (3,), (3, causes + 1), (2, 3),
             one_a_jet, one_a_jet, *window, *window, *innovation_sums.shapes_of(jets),
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],

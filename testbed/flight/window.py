@@ -251,7 +251,8 @@ def decide(window, least, y, period, every, found):
         least: see `factor`.
         y: see `factor`.
         period: of a look [s].
-        every: whether to test every beginning, not those of BEGUN only.
+        every: whether to test every beginning, not those of BEGUN only, and thrust and mass from
+            each of them, not from the oldest only.
         found: changed in place.
     """
     blocks, worth, now = window.blocks, window.worth, int(window.newest[0])
@@ -270,8 +271,9 @@ def decide(window, least, y, period, every, found):
             continue
         suspect(since, least, y, parts, fits, own)
         suspect_jets(since[m], fits, own, n, found)
-        always = k == blocks.shape[0] - 1
-        score(fits, own, 2 * n, period, always, found.gains, found.sizes, found.way)
+        start = k == blocks.shape[0] - 1
+        gains, sizes = found.gains, found.sizes
+        score(fits, own, 2 * n, period, start, every or start, gains, sizes, found.way)
         gain = max(found.leak.gain, found.weak.gain, found.gains.max())
         if gain > best:
             began, best = k, gain

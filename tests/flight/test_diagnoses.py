@@ -44,3 +44,17 @@ def test_a_quiet_hold_does_not_look_like_a_wrong_mass(seed, words):
     run = testbed.fly(testbed.load("hold", "criteria={}", *words, seed=seed))
     assert run.metrics.fault is None
     assert run.metrics.duration_s == 120.0
+
+
+@pytest.mark.parametrize(
+    ("experiment", "seed", "words"),
+    [
+        ("hold", 1, ["table.spread.hose_torque=0.003"]),  # was: a jet leaks 8 % of its thrust
+        ("hold", 7, ["table.spread.hose_torque=0.02"]),  # was: valve stuck open, after 0.9 s
+        ("hold", 3, ["table.spread.hose_torque=0.005", "vehicles.*.model=uky"]),
+    ],
+)
+def test_a_torque_of_a_hose_or_the_bearings_is_no_jet(experiment, seed, words):
+    run = testbed.fly(testbed.load(experiment, "criteria={}", "duration_s=40", *words, seed=seed))
+    assert run.metrics.fault is None
+    assert run.metrics.warnings == []

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from testbed.flight import innovation_sums, innovations
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.fired import model_of
-from testbed.flight.hypotheses import ALL, PUSHED, WEAK, X, Y
+from testbed.flight.hypotheses import ALL, PUSHED, SPUN, WEAK, X, Y
 from testbed.flight.jet_faults import known_of
 from testbed.flight.memory import make_memory
 
@@ -120,7 +120,7 @@ def test_a_column_is_what_the_filter_changes_if_it_believes_the_cause(vehicle, t
         assert (np.abs(changed - expected) < near + 0.03 * np.abs(expected)).all(), place
 
 
-@pytest.mark.parametrize(("axis", "cause"), [(0, X), (1, Y)])
+@pytest.mark.parametrize(("axis", "cause"), [(0, X), (1, Y), (2, SPUN)])
 def test_the_column_of_a_pull_is_what_the_filter_does_not_know_of_it(axis, cause, vehicle, table):
     duties = some(np.random.default_rng(2), 300)
     known, pulled = Flown(vehicle, table), Flown(vehicle, table)
