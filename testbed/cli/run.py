@@ -18,9 +18,10 @@ from testbed.cli.screen import print_text
 from testbed.cli.viewers import Viewers
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
+from testbed.flight.safety import SPARE_S
 from testbed.logs.log_reader import LogError
 from testbed.metrics.run_metrics import Metrics
-from testbed.net.flight_note import noted, own_note, request_socket
+from testbed.net.flight_note import noted, own_note, request_socket, tell_heard
 from testbed.net.operator_requests import RequestServer
 from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
 from testbed.report.page import ReportError
@@ -44,6 +45,7 @@ from testbed.run.interrupt import Interrupt
 from testbed.run.report import write_page
 
 LINE_S = 10.0  # interval of status lines without a terminal [s]
+FILES_S = 4.0  # time to finish the log of a flight that was stopped [s]
 
 
 class RunOptions(Struct, frozen=True):
@@ -70,7 +72,7 @@ class RunOptions(Struct, frozen=True):
 
 def run_experiment(name: str, overrides: Sequence[str], options: RunOptions) -> int:
     """Fly an experiment; return the exit code."""
-    interrupt, viewers, folder = Interrupt(), None, None
+    interrupt, viewers, folder = Interrupt(tell_heard), None, None
     operator = Operator(arm=options.arm, reset=options.reset, at_once=interrupt.at_once)
     try:
         experiment = _experiment(name, overrides, options)
@@ -115,7 +117,7 @@ def _flown(
 ) -> tuple[Metrics, Experiment]:  # fmt: skip
     """Fly; the metrics, and the experiment with the changes that its page made."""
     rig, pace = options.rig, options.pace
-    with ExitStack() as stack, noted_here(rig, experiment, folder):
+    with ExitStack() as stack, noted_here(rig, experiment, folder, pace):
         write_config(folder, dump(experiment), own_version())
         own = heartbeat()
         own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
@@ -142,11 +144,16 @@ def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
     return local(experiment)
 
 
-def noted_here(rig: str, experiment: Experiment, folder: Path) -> AbstractContextManager[None]:
+def noted_here(
+    rig: str, experiment: Experiment, folder: Path, pace: float | None
+) -> AbstractContextManager[None]:
     """Registers the run for `testbed stop`; a host on bench or table replaces the note by its own.
 
     That one also warns if there is no place for it.
     """
+    flight = experiment.flight
+    # a tick that has begun is finished before the brake
+    brake_s = flight.jet_period_s + flight.ending.brake_s + SPARE_S
 
     def warn_on_twin(text: str) -> None:
         if rig == "twin":
@@ -154,7 +161,7 @@ def noted_here(rig: str, experiment: Experiment, folder: Path) -> AbstractContex
 
     return noted(
         "", "", vehicles=list(experiment.vehicles), name=experiment.name, pid=process_to_end(),
-        warn=warn_on_twin, folder=folder, rig=rig,
+        warn=warn_on_twin, folder=folder, rig=rig, ends_s=brake_s / (pace or 1.0) + FILES_S,
     )  # fmt: skip
 
 

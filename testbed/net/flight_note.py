@@ -31,9 +31,10 @@ class StoppableFlight(NamedTuple):
     started: str = ""  # start time of the process in /proc: process ids are reused
     folder: str = ""  # run folder; empty: not known
     rig: str = "twin"  # without an endpoint
+    ends_s: float = 0.0  # time to end after it has heard a stop; 0: not known [s]
 
 
-KINDS = [str, str, str, list, str, int, str, str, str]
+KINDS = [str, str, str, list, str, int, str, str, str, float]
 
 
 class NoteError(TestbedError):
@@ -83,7 +84,7 @@ def complain(text: str) -> None:
 def noted(
     endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
     pid: int = 0, warn: Callable[[str], None] = complain, folder: Path | None = None,
-    rig: str = "twin",
+    rig: str = "twin", ends_s: float = 0.0,
 ) -> Iterator[None]:  # fmt: skip
     """Keep a note of a flight while the context is open; a process has one, the newest.
 
@@ -96,12 +97,13 @@ def noted(
         warn: called with a warning if the note cannot be written; the flight goes on.
         folder: run folder, by which an operator's page finds the flight.
         rig: of a note without an endpoint.
+        ends_s: longest time that it takes to end after it has heard a stop; 0: not known [s].
     """
     pid = pid or os.getpid()
     keys = str(Path(keys).absolute()) if keys else ""
     where = "" if folder is None else str(folder.absolute())
     flight = StoppableFlight(
-        endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where, rig
+        endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where, rig, ends_s
     )
     try:
         text = json.dumps(flight._asdict()).encode()
@@ -115,14 +117,32 @@ def noted(
     finally:
         if note is not None:
             with suppress(OSError):
-                note.unlink()
+                remove(note)
 
 
 def withdraw(pid: int) -> None:
     """Remove the note of a process that was killed before it could."""
     for folder, _ in _folders()[: len(_bases(os.getuid()))]:
         with suppress(OSError):
-            (folder / f"{pid}.json").unlink()
+            remove(folder / f"{pid}.json")
+
+
+def remove(note: Path) -> None:
+    """Remove a note, and that its process has heard a stop."""
+    note.unlink(missing_ok=True)
+    heard_stop(note).unlink(missing_ok=True)
+
+
+def heard_stop(note: Path) -> Path:
+    """An empty file; it exists when the process of a note has heard a stop."""
+    return note.with_suffix(".heard")
+
+
+def tell_heard() -> None:
+    """Tell `testbed stop` that this process has heard it."""
+    with suppress(OSError):
+        if (note := own_note()).exists():
+            heard_stop(note).touch()
 
 
 def request_socket(note: Path) -> Path:

@@ -21,7 +21,14 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from testbed.net.flight_note import StoppableFlight, complain, known_flights, runs
+from testbed.net.flight_note import (
+    StoppableFlight,
+    complain,
+    heard_stop,
+    known_flights,
+    remove,
+    runs,
+)
 
 if TYPE_CHECKING:
     import zenoh
@@ -34,7 +41,7 @@ OPEN_S = 1.0  # time for a host's handshake
 ANSWER_S = 0.5  # time for vehicles to answer
 DIRECT_S = 0.3  # time for vehicles to answer without their host
 LATE_S = 2.0  # further time for vehicles that have not answered: busy computers answer late
-END_S = 4.0  # time for a flight on the twin, or a run that starts, to end
+END_S = 4.0  # time for a flight on the twin, or a run that starts, to end or to hear the stop
 LOOK_S = 0.02
 NOT_STARTED = "not started"  # instead of a vehicle's bearing air: its flight was called off
 DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
@@ -91,16 +98,18 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
 
 def _stop_here() -> Iterator[bool]:
     """Stop every flight on this machine, and a host at the default endpoint without a note."""
-    tried, killed = set(), []
+    tried, killed, asked = set(), [], []
     for note, flight in sorted(known_flights(), key=lambda one: not one[1].endpoint):
-        # hosts first: the others are waited for
+        # hosts first: they fly vehicles
         tried.add(flight.endpoint)
         if not runs(flight):
             killed.append((note, flight))
         elif flight.endpoint:
             yield _stop_wires(flight)
+        elif _ask(note, flight):
+            asked.append((note, flight))
         else:
-            yield _stop_twin(note, flight)
+            yield False
     unknown = StoppableFlight(DEFAULT)  # perhaps there is one without a note
     if listens := DEFAULT not in tried and _listens(DEFAULT):
         yield _stop_wires(unknown)
@@ -111,9 +120,10 @@ def _stop_here() -> Iterator[bool]:
             why = f"the host, process {flight.pid}, was killed"
             yield _report(flight, set(flight.vehicles), shut, why, {})
         if not shut:  # the second stop needs the note
-            note.unlink(missing_ok=True)
+            remove(note)
     if DEFAULT not in tried and not listens and (shut := _stop_directly(unknown, _new_id())):
         yield _report(unknown, set(), shut, "no host listens", {})
+    yield from _wait_for(asked)
 
 
 def _listens(endpoint: str) -> bool:
@@ -135,21 +145,43 @@ def end_twin(note: Path, flight: StoppableFlight) -> None:
         os.kill(flight.pid, signal.SIGTERM)
 
 
-def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
-    """Ask the process to end the flight; whether it did."""
+def _ask(note: Path, flight: StoppableFlight) -> bool:
+    """Ask the process to end the flight; whether it could be asked."""
     try:
         end_twin(note, flight)
     except OSError as error:
-        complain(f"{flight.name} on the {flight.rig}, process {flight.pid}: not asked: {error}")
+        complain(f"{_named(flight)}: not asked: {error}")
         return False
-    end = monotonic() + END_S
-    while over := note.exists() and runs(flight):
-        if monotonic() > end:
-            break
-        threading.Event().wait(LOOK_S)
-    words = "did not answer" if over else "ended"
-    sys.stdout.write(f"{flight.name} on the {flight.rig}, process {flight.pid}: {words}\n")
-    return not over
+    return True
+
+
+def _wait_for(asked: Sequence[tuple[Path, StoppableFlight]]) -> Iterator[bool]:
+    """Wait for processes that were asked to end a flight; whether each did.
+
+    One that has heard the stop may take as long as its brake does.
+    """
+    began = monotonic()
+    for note, flight in asked:
+        limit_s = END_S
+        while over := note.exists() and runs(flight):
+            if monotonic() > began + limit_s:
+                if limit_s >= flight.ends_s or not heard_stop(note).exists():
+                    break
+                limit_s = flight.ends_s
+                left_s = limit_s - (monotonic() - began)
+                sys.stdout.write(f"{_named(flight)}: stops within {left_s:.0f} s\n")
+                sys.stdout.flush()
+            threading.Event().wait(LOOK_S)
+        words = "ended"
+        if over:
+            heard = heard_stop(note).exists()
+            words = "heard the stop and did not end" if heard else "did not answer"
+        sys.stdout.write(f"{_named(flight)}: {words}\n")
+        yield not over
+
+
+def _named(flight: StoppableFlight) -> str:
+    return f"{flight.name} on the {flight.rig}, process {flight.pid}"
 
 
 def _new_id() -> str:

@@ -7,7 +7,7 @@ valves and air at once.
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -20,10 +20,15 @@ EVENTS = "numba/core/event.py"  # its listeners run where an exception may be dr
 
 
 class Interrupt:
-    """Requests to end the run, by a signal or by the caller."""
+    """Requests to end the run, by a signal or by the caller.
 
-    def __init__(self) -> None:
+    Args:
+        heard: called after each signal.
+    """
+
+    def __init__(self, heard: Callable[[], None] = lambda: None) -> None:
         self.asked = 0  # number of requests
+        self._heard = heard
         self._raises = False
         self._again = False  # the next signal is sent by this class
         self._terminals: list[int] = []
@@ -46,6 +51,7 @@ class Interrupt:
         self.asked = self.asked + 1 if number == signal.SIGINT else max(1, self.asked)
         heartbeat().signalled()
         shorten_limit()
+        self._heard()
         if number == signal.SIGHUP:
             self._leave_terminal()
 

@@ -25,6 +25,7 @@ from testbed.run.folder import FolderError
 
 KEYS = Keys("lab")
 WAITS = "import sys; print(flush=True); sys.stdin.read()"
+BRAKES = "import signal, time; signal.signal(signal.SIGTERM, lambda *_: time.sleep({}) or exit());"
 DEAF = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {WAITS}"
 
 ONCE_MORE = "  stop again to shut valves and air at once"
@@ -256,9 +257,35 @@ def test_a_flight_on_the_twin_is_ended(here, capsys, process):
 def test_a_flight_on_the_twin_that_does_not_end_is_said(here, capsys, process, monkeypatch):
     monkeypatch.setattr(stopping, "END_S", 0.1)
     pid = process(DEAF)
-    with noted("", "", name="hold", pid=pid):
+    with noted("", "", name="hold", pid=pid, ends_s=60.0):
         assert stop_everything(None, "lab") == FAILED
     assert f"hold on the twin, process {pid}: did not answer\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("s", "words"), [(0.5, "ended"), (60, "heard the stop and did not end")])
+def test_a_flight_that_has_heard_may_brake(here, capsys, process, monkeypatch, s, words):
+    """It is waited for as long as its brake may last, and no longer."""
+    monkeypatch.setattr(stopping, "END_S", 0.1)
+    pid = process(BRAKES.format(s) + WAITS)
+    with noted("", "", name="hold", pid=pid, ends_s=2.0):
+        flight_note.tell_heard()
+        assert stop_everything(None, "lab") == (OK if words == "ended" else FAILED)
+    said = f"hold on the twin, process {pid}: "
+    assert capsys.readouterr().out == f"{said}stops within 2 s\n{said}{words}\n"
+    assert list(here.iterdir()) == []
+
+
+def test_all_flights_on_the_twin_are_asked_before_one_is_waited_for(here, process, monkeypatch):
+    monkeypatch.setattr(stopping, "END_S", 0.1)
+    deaf, hears = (StoppableFlight("", name="hold", pid=process(one)) for one in (DEAF, WAITS))
+    flights = [one._replace(started=flight_note._started(one.pid)) for one in (deaf, hears)]
+    here.mkdir()
+    (note := here / "note").touch()
+    monkeypatch.setattr(stopping, "known_flights", lambda: [(note, one) for one in flights])
+    ended = stopping._stop_here()
+    assert next(ended) is False
+    assert not stopping.runs(flights[1])
+    assert next(ended) is True
 
 
 def test_another_process_with_the_same_number_is_left_alone(here, process):
@@ -340,19 +367,23 @@ def test_a_run_that_starts_is_stopped(here, tmp_path, capsys, rig):
 
 @pytest.mark.parametrize("rig", ["twin", "bench"])
 def test_a_run_with_a_folder_has_a_note_that_names_it(here, tmp_path, monkeypatch, rig):
-    """The operator's page looks for the flight by its folder."""
-    notes = []
+    """Its page looks for the flight by its folder; `testbed stop` waits for its brake."""
+    notes, heard = [], []
 
     def seen(*args):
         notes.extend(flight for _, flight in known_flights())
+        signal.raise_signal(signal.SIGTERM)
+        heard.extend(here.glob("*.heard"))
         raise FolderError("seen")
 
     monkeypatch.setattr(verb, "write_config", seen)
-    options = verb.RunOptions(rig, tmp_path / "out")
-    assert verb.run_experiment("hold", [], options) == 2
+    options = verb.RunOptions(rig, tmp_path / "out", speed=0.5)
+    assert verb.run_experiment("hold", ["flight.ending.brake_s=8.0"], options) == 2
     assert [(one.rig, one.folder, one.endpoint) for one in notes] == [
         (rig, str(tmp_path / "out"), "")
     ]
+    assert 8.0 / 0.5 < notes[0].ends_s < 11.0 / 0.5
+    assert [one.stem for one in heard] == [str(os.getpid())]
     assert list(here.iterdir()) == []
 
 
@@ -361,7 +392,7 @@ def test_hosts_are_stopped_before_what_is_waited_for(here, monkeypatch):
     asked = []
     monkeypatch.setattr(stopping, "known_flights", lambda: [(here / "0", twin), (here / "1", host)])
     monkeypatch.setattr(stopping, "_stop_wires", lambda flight: asked.append(flight) or True)
-    monkeypatch.setattr(stopping, "_stop_twin", lambda note, flight: asked.append(flight) or True)
+    monkeypatch.setattr(stopping, "end_twin", lambda note, flight: asked.append(flight))
     monkeypatch.setattr(stopping, "_stop_directly", lambda *args: set())
     assert list(stopping._stop_here()) == [True, True]
     assert asked == [host, twin]
