@@ -18,7 +18,8 @@ from testbed.identification.windows import Windows
 
 ENOUGH = 8  # windows
 GAIN = 0.6  # of the square error of unseen parts; healthy logs of three labs reach 0.57
-SURE = 1.5  # standard deviations, of the gain and of the lever
+SURE = 1.5  # standard deviations of the gain
+INTERVAL = 1.96  # standard deviations of the lever in half of its 95 % interval
 LEAST = 0.01  # [m] of a lever
 
 
@@ -41,8 +42,9 @@ def by_moved_jets(
     )
     gain, k = best[0], free.index(best[1])
     lever, sigma = float(found.p[k]), float(found.sigma[k])
-    clear = gain.mean() > SURE * gain.std() / np.sqrt(len(gain)) and abs(lever) > SURE * sigma
+    half = INTERVAL * sigma  # the place in the file must be outside
+    clear = gain.mean() > SURE * gain.std() / np.sqrt(len(gain)) and abs(lever) > half
     if clear and gain.mean() > GAIN * without.mean() and abs(lever) > LEAST:
         jet = best[1].removeprefix("lever_")
-        text = f"jet {jet} pushes {1e3 * abs(lever):.0f} mm (+- {2e3 * sigma:.0f}) beside its place"
+        text = f"jet {jet} pushes {1e3 * abs(lever):.0f} mm (+- {1e3 * half:.0f}) beside its place"
         yield Suspicion("other-vehicle", f"{text} in the file: another vehicle, or it was rebuilt")

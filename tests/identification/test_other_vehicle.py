@@ -4,10 +4,15 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from testbed.identification import moved_jets
+from testbed.identification.estimate import Estimate
+from testbed.identification.jets import JetFinding
+from testbed.identification.model import VehicleModel
 from testbed.identification.motion import RefusedError, calibrate_motion, doubts_about
 from testbed.identification.suspicion import suspicions
 from testbed.identification.synthetic import excitation, flown_log
 from testbed.identification.vehicle_file import load_vehicle
+from testbed.identification.windows import tiled
 
 
 def flown(vehicle, seed=5, seconds=40.0):
@@ -81,6 +86,31 @@ def test_a_jet_that_was_moved_is_named(floater, jet):
     (name, text), *_ = refused([flown(moved)], floater)
     assert name == "other-vehicle"
     assert text.startswith(f"jet {jet + 1} pushes")
+
+
+@pytest.mark.parametrize(("sigma", "named"), [(0.02, True), (0.087, True), (0.113, False)])
+def test_a_lever_whose_interval_has_the_place_of_the_file_in_it_is_no_suspicion(
+    floater, flight, monkeypatch, sigma, named
+):
+    """A healthy log of one path may leave a lever so unknown that it is 1.6 sigma beside."""
+    model = VehicleModel(floater, valves=True)
+    windows = tiled(flight[1], 2.5)
+    wide = Estimate(model.prior, np.arange(0), model.sigma, *[np.zeros((1, 1))] * 4)
+
+    def fitted(free, windows, groups, start):
+        p, beside = free.prior.copy(), free.index("lever_4")
+        p[beside] = 0.178
+        return wide._replace(p=p, sigma=np.where(np.arange(len(p)) == beside, sigma, 1.0))
+
+    monkeypatch.setattr(moved_jets, "fit", fitted)
+    monkeypatch.setattr(moved_jets, "folds", lambda *args: [])
+    error = {True: np.full(6, 0.2), False: np.ones(6)}  # of unseen parts, with the lever or not
+    monkeypatch.setattr(moved_jets, "unseen", lambda *args: error["lever_4" in args[3]])
+    jets = [JetFinding(k, "ok", 1.0, 0.01) for k in range(8)]
+    found = list(moved_jets.by_moved_jets(model, jets, wide, [windows]))
+    assert [one.text.split(":")[0] for one in found] == [
+        f"jet 4 pushes 178 mm (+- {1.96e3 * sigma:.0f}) beside its place in the file"
+    ] * named
 
 
 def test_a_log_that_is_too_short_to_tell_its_vehicle_says_so(red):
