@@ -19,7 +19,15 @@ from testbed.metrics.run_metrics import (
     weakest_jet,
 )
 from testbed.report.page import known, rounded, rows_of
-from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
+from testbed.report.verdict import (
+    NOTHING_MEASURED,
+    NOTHING_TO_JUDGE,
+    SHOWN_TOUCHES,
+    UNCOUNTED,
+    missed,
+    touched,
+    unmeasured,
+)
 
 SIMULATED = {  # behind the verdict of a rig
     "twin": " (a result of the twin, not of a table)",
@@ -97,7 +105,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
         out.print(words, style="red", markup=False)
     for words in touched(experiment, metrics.touches[:SHOWN_TOUCHES]):
         out.print(words, style="red", markup=False)
-    out.print(_verdict(metrics))
+    out.print(_verdict(experiment, metrics))
     out.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
 
@@ -133,16 +141,9 @@ def _limit(experiment: Experiment, criterion: str, scale: float) -> str:
     return "" if limit is None else f"<= {scale * limit:g}"
 
 
-def _unmeasured(metrics: Metrics, criterion: str) -> bool:
-    """Whether a criterion has no value, as hold RMS in a 20 s run. "never settled" is a value."""
-    if criterion in ("settle_s", "clear_of_obstacles"):
-        return False
-    return any(getattr(m, criterion, 0.0) is None for m in metrics.vehicles.values())
-
-
-def _verdict(metrics: Metrics) -> str:
+def _verdict(experiment: Experiment, metrics: Metrics) -> str:
     failed = [
-        name + " (nothing was measured)" * _unmeasured(metrics, name)
+        name + NOTHING_MEASURED * unmeasured(experiment, metrics, name)
         for name, met in (metrics.criteria or {}).items()
         if not met
     ]

@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from testbed.config.experiment import Experiment
+from testbed.config.unmeasured import without_number
 from testbed.core.codes import FaultId
 from testbed.metrics.run_metrics import Metrics, Touch
 
 UNCOUNTED = -1  # contacts of a run that was killed before they were counted
 SHOWN_TOUCHES = 3
 NOTHING_TO_JUDGE = "no criteria to judge"  # of a completed run
+NOTHING_MEASURED = " (nothing was measured)"  # behind a criterion that is not met
 CRITERIA = {  # name, unit, scale from the unit of the file
     "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
     "final_error_m": ("final error", "mm", 1e3), "settle_s": ("settled", "s", 1.0),
@@ -53,7 +55,11 @@ def verdict(scenario: Experiment, metrics: Metrics) -> RunVerdict:
     if not metrics.completed:
         return RunVerdict("unjudged", "; ".join([*hits, f"interrupted at {end}: not judged"]))
     missed = [k for k, met in (metrics.criteria or {}).items() if not met]
-    names = [CRITERIA.get(k, (k,))[0] for k in missed if not (hits and k == "max_contacts")]
+    names = [
+        CRITERIA.get(k, (k,))[0] + NOTHING_MEASURED * unmeasured(scenario, metrics, k)
+        for k in missed
+        if not (hits and k == "max_contacts")
+    ]
     if missed:
         words = f"failed: {'; '.join([*hits, *names])}"
         return RunVerdict("fault" if "max_contacts" in missed else "failed", words)
@@ -107,9 +113,24 @@ def missed(scenario: Experiment, metrics: Metrics, name: str, key: str, criterio
     """Whether this vehicle's metric violates a criterion."""
     if (metrics.criteria or {}).get(criterion) is not False:
         return False
+    if criterion in without_number(scenario, name):
+        return True
     value = getattr(metrics.vehicles[name], key)
     if criterion == "clear_of_obstacles":
         # with several radii, only a distance below the smallest certainly violates one
         return value is not None and value < min(o.radius for o in scenario.obstacles.values())
     limit = getattr(scenario.criteria, criterion)
     return value is None or limit is None or value > limit
+
+
+def unmeasured(scenario: Experiment, metrics: Metrics, criterion: str) -> bool:
+    """Whether a criterion has no value, as hold RMS in a 20 s run. "never settled" is a value."""
+    if criterion.startswith("formation."):
+        found, key = metrics.formation, criterion.removeprefix("formation.")
+        looked_at = "error_m" if key == "settled_s" else key
+        return getattr(found, looked_at, None) is None
+    if any(criterion in without_number(scenario, name) for name in metrics.vehicles):
+        return True
+    if criterion in ("settle_s", "clear_of_obstacles"):
+        return False
+    return any(getattr(m, criterion, 0.0) is None for m in metrics.vehicles.values())

@@ -2,7 +2,10 @@
 
 from collections.abc import Mapping
 
+from msgspec.structs import replace
+
 from testbed.config.guarantee import warnings_of
+from testbed.config.unmeasured import without_number
 from testbed.core.codes import FaultId
 from testbed.flight.loop import Ending
 from testbed.metrics.formation import formation_metrics
@@ -60,6 +63,10 @@ def measure(
     context = formation_context(experiment)
     together = formation_metrics(experiment.controller, context, track, touches)
     wanted = experiment.criteria.formation
+    applying = {
+        name: replace(one, **dict.fromkeys(without_number(experiment, name)))
+        for name, one in vehicles.items()
+    }
     return Metrics(
         experiment=experiment.name,
         rig=rig.name,
@@ -73,7 +80,7 @@ def measure(
         fault=ending.fault.words if ending.fault else None,
         fault_report=ending.fault,
         fault_t=ending.found_t,
-        criteria=judge(experiment.criteria, vehicles, len(touches), clear)
+        criteria=judge(experiment.criteria, applying, len(touches), clear)
         | (judge_formation(wanted, together) if wanted else {})
         if is_judged
         else None,

@@ -143,9 +143,48 @@ def test_the_steepest_place_of_a_map_counts():
     ],
 )
 def test_a_criterion_that_is_never_measured_is_named(testbed, changes, said):
-    result = testbed("check", "hold", *changes)
+    assert never_measured(testbed("check", "hold", *changes)) == said
+
+
+def never_measured(result):
     assert result.exit_code == 0
-    assert re.findall(r"never-measured: (.*), and .*: it is never met", result.stderr) == said
+    return re.findall(r"never-measured: (.*), and .*: it is never met", result.stderr)
+
+
+def test_criteria_of_a_goal_that_rests_are_never_measured_on_a_path(testbed):
+    asked = ["criteria.hold_rms_m=0.01", "criteria.settle_s=90", "criteria.final_error_m=0.05"]
+    about = "is about a goal that rests"
+    assert never_measured(testbed("check", str(SHIPPED / "scenarios/circle.toml"), *asked)) == [
+        f"criteria.settle_s {about}", f"criteria.hold_rms_m {about}",
+    ]  # fmt: skip
+
+
+def test_criteria_of_a_goal_are_never_measured_under_a_law_of_a_formation(testbed):
+    asked = ["criteria.hold_rms_m=0.01", "criteria.settle_s=90"]
+    about = "is about a vehicle's own goal"
+    assert never_measured(testbed("check", "xue2022_table", *asked)) == [
+        f"criteria.settle_s {about}", f"criteria.hold_rms_m {about}",
+    ]  # fmt: skip
+
+
+def test_edges_of_a_curve_are_never_measured(testbed):
+    asked = "criteria.formation.longest_edge_m=2.0"
+    said = ["criteria.formation.longest_edge_m is about a graph"]
+    assert never_measured(testbed("check", "gao2022_table", asked)) == said
+
+
+def test_a_formation_of_one_vehicle_is_never_measured(testbed, here):
+    alone = [
+        "controller={type='bounded_formation',beta=2.4,formation={range=1.2,safe=0.35,"
+        "far_margin=0.1,near_margin=0.1,distances={}},proxy={spring=12.0,limit=0.8,weight=0.284,"
+        "height=0.2,mass=1.0}}",
+        "guidance.mode=wrench", "criteria={formation={error_m=0.02,settled_s=60.0}}",
+    ]  # fmt: skip
+    said = ["criteria.formation is about two vehicles or more"]
+    assert never_measured(testbed("check", "hold", *alone)) == said
+    result = testbed("run", "hold", *alone, "duration_s=1", "--out", "out")
+    assert result.exit_code == 1
+    assert " ".join(result.stdout.split()).count("(nothing was measured)") == 2
 
 
 @pytest.mark.parametrize("name", SHIPPED_ONES)

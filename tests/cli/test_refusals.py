@@ -13,6 +13,8 @@ from msgspec.structs import replace
 from testbed.cli import refusal
 from testbed.cli.main import entry, main
 from testbed.cli.result import _verdict
+from testbed.config import find, load
+from testbed.config.shipped import shipped
 from testbed.report.page import read_metrics
 
 VERBS = sorted(main.commands)
@@ -156,7 +158,7 @@ def test_brackets_in_a_fault_are_shown(testbed, here):
     """A table file's section, say: brackets are markup to what prints the result."""
     testbed("run", "hold", "duration_s=1", "--out", "out")
     metrics = replace(read_metrics(here / "out"), fault="see [lab.network] of the table file")
-    assert _verdict(metrics).endswith(r"see \[lab.network] of the table file")
+    assert _verdict(load(find("hold")), metrics).endswith(r"see \[lab.network] of the table file")
 
 
 def test_a_criterion_that_was_not_measured_says_so(testbed, here):
@@ -164,6 +166,18 @@ def test_a_criterion_that_was_not_measured_says_so(testbed, here):
     assert result.exit_code == 1
     assert "hold_rms_m (nothing was measured)" in " ".join(result.stdout.split())
     assert "settle_s (nothing" not in result.stdout
+
+
+@pytest.mark.parametrize("limit", ["settle_s=90", "hold_rms_m=10.0"])
+def test_a_criterion_of_a_goal_that_rests_is_not_measured_on_a_path(testbed, here, limit):
+    """A point where the goal has been says nothing, however near it is."""
+    circle = str(shipped("scenarios")["circle"])
+    asked = [f"criteria={{{limit}}}", "duration_s=31"]
+    result = testbed("run", circle, "vehicles.sat1.path.radius=0.01", *asked, "--out", "out")
+    assert result.exit_code == 1
+    name = limit.partition("=")[0]
+    assert f"failed: {name} (nothing was measured)" in " ".join(result.stdout.split())
+    assert "(nothing was measured)" in (here / "out/report.html").read_text()
 
 
 def test_one_vehicle_is_one(testbed):
@@ -253,8 +267,9 @@ def test_keys_say_what_is_to_be_carried(testbed, here):
 def test_a_run_without_criteria_did_not_pass(testbed, here):
     testbed("run", "hold", "duration_s=1", "--out", "judged")
     metrics = read_metrics(here / "judged")
-    assert "passed" in _verdict(replace(metrics, criteria={"max_contacts": True}))
-    assert _verdict(replace(metrics, criteria={})) == "[bold]no criteria to judge[/]"
+    hold = load(find("hold"))
+    assert "passed" in _verdict(hold, replace(metrics, criteria={"max_contacts": True}))
+    assert _verdict(hold, replace(metrics, criteria={})) == "[bold]no criteria to judge[/]"
 
 
 @pytest.mark.parametrize("speed", ["nan", "inf"])
