@@ -142,7 +142,7 @@ def scenario_campaign(path: Path, file: BenchmarkFile, name: str) -> Campaign:
         keep=3,
     )
     base = base_experiment(path, scenario.experiment, scenario.set)
-    campaign = Campaign(campaign_file, tomli_w.dumps(dump(base)))
+    campaign = Campaign(campaign_file, tomli_w.dumps(dump(base)), path.parent)
     check_corners(path, campaign)
     return campaign
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import msgspec
 
+from testbed.campaign.anchor import anchored
 from testbed.campaign.benchmark import BenchmarkFile, PassedOver, Record, score
 from testbed.campaign.evidence import read_run
 from testbed.campaign.row import FlownRun
@@ -110,6 +111,7 @@ class Pile:
         """The runs of a law in a scenario, their rigs, and the missing seeds."""
         scenario, place = self._file.scenarios[name], self._runs / name / law
         texts = [*scenario.set, *self._file.laws[law]]
+        texts = [anchored(text, self._path.parent) for text in texts]
         wanted = load(experiment_path(self._path, scenario.experiment), texts)
         played = [assignment(text)[0] for text in scenario.set]
         first, flown = self._file.seed, list[FlownRun]()

@@ -40,6 +40,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
+from testbed.campaign.anchor import anchored
 from testbed.campaign.inline_toml import inline
 from testbed.campaign.row import COLUMNS, check_columns, check_vehicles
 from testbed.config import ConfigError, Experiment, dump, find, load, loads, read_toml
@@ -164,10 +165,14 @@ class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
 class Campaign:
     """A campaign file with its base experiment."""
 
-    def __init__(self, file: CampaignFile, base: str) -> None:
+    def __init__(self, file: CampaignFile, base: str, folder: Path) -> None:
         self.file = file
         self.base = base  # the resolved experiment, as TOML
-        self._grid = list(product(*(axis.points() for axis in file.grid)))
+        axes = [  # paths are relative to the file, which is in `folder`
+            [(shown, tuple(anchored(text, folder) for text in texts)) for shown, texts in points]
+            for points in (axis.points() for axis in file.grid)
+        ]
+        self._grid = list(product(*axes))
         self._shares = shares(file)
 
     @property
@@ -283,7 +288,7 @@ def load_campaign(path: Path) -> Campaign:
     base = base_experiment(path, file.experiment, file.set)
     if any(assignment(text)[0] == SEED for text in file.set):
         raise seed_error(path, "set")
-    campaign = Campaign(file, tomli_w.dumps(dump(base)))
+    campaign = Campaign(file, tomli_w.dumps(dump(base)), path.parent)
     check_corners(path, campaign)
     return campaign
 
@@ -369,7 +374,8 @@ def experiment_path(path: Path, name: str) -> Path:
 def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
     """The experiment that the file at `path` names, with the overrides for all runs."""
     try:
-        return load(experiment_path(path, name), overrides)
+        placed = [anchored(text, path.parent) for text in overrides]
+        return load(experiment_path(path, name), placed)
     except ConfigError as error:
         if error.where == name:  # the experiment does not exist
             raise ConfigError(str(path), "experiment", error.expected, error.found) from None

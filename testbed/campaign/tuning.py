@@ -32,6 +32,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
+from testbed.campaign.anchor import anchored
 from testbed.campaign.row import FlownRun, Task, broken_bound, check_columns, check_vehicles, column
 from testbed.campaign.sweep import (
     Count,
@@ -139,13 +140,14 @@ def load_tuning(path: Path) -> Tuning:
         check_columns(str(path), key, columns)
         check_vehicles(str(path), key, columns, base.vehicles)
     keys = [gain.key for gain in file.gain]
+    placed = [anchored(text, path.parent) for text in file.set]
     for gain in file.gain:
         if keys.count(gain.key) > 1:
             raise ConfigError(str(path), "gain", "each key once", show(gain.key))
         for end in (gain.low, gain.high):
             text = f"{gain.key}={float(end)!r}"
             try:
-                load(experiment_path(path, file.experiment), [*file.set, text])
+                load(experiment_path(path, file.experiment), [*placed, text])
             except ConfigError as error:
                 where = f"{path}, the choice {text}"
                 raise ConfigError(

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Grid
 
+from testbed.campaign.anchor import anchored
 from testbed.campaign.benchmark import (
     BenchmarkFile,
     Record,
@@ -147,7 +148,9 @@ def print_commands(path: Path, file: BenchmarkFile, runs: Path) -> None:
         experiment = shown_experiment(experiment_path(path, scenario.experiment))
         for law in scenario.laws:
             for k in range(file.samples):
-                words = ["testbed", "run", experiment, *scenario.set, *file.laws[law]]
+                texts = [*scenario.set, *file.laws[law]]
+                placed = [anchored(text, path.parent) for text in texts]
+                words = ["testbed", "run", experiment, *placed]
                 place = runs / name / law / str(k)
                 words += ["--seed", str(file.seed + k), "--out", str(place)]
                 lines.append(shlex.join(words))

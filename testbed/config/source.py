@@ -1,6 +1,7 @@
 """Assembles the tree of an experiment, and records the origin of each part."""
 
 import re
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -122,15 +123,27 @@ class Source:
         raise self.error(Violation(key, f"the path of a TOML file{names}", found))
 
 
-def _parse(origin: Origin, key: Key, raw: str) -> Any:
-    """Parse the value of an override: TOML, or a bare word as a string."""
+def value_of(raw: str) -> Any:
+    """The value of an override: TOML, or a bare word as a string.
+
+    Raises:
+        ValueError: it is neither.
+    """
     try:
         tree = parse(f"value = {raw}".encode())
-        if len(tree) == 1:  # more: there was a second line
-            return tree["value"]
     except ValueError:
         if _BARE_WORD.fullmatch(raw):
             return raw
+        raise
+    if len(tree) > 1:
+        raise ValueError("a second line")
+    return tree["value"]
+
+
+def _parse(origin: Origin, key: Key, raw: str) -> Any:
+    """Parse the value of an override: TOML, or a bare word as a string."""
+    with suppress(ValueError):
+        return value_of(raw)
     expected = """a TOML value: a number, a word, [...], {...}, or text in quotes, 'key="..."'"""
     raise ConfigError(origin.where, spell(key), expected, show(raw) if raw else "nothing")
 

@@ -1,0 +1,55 @@
+"""Makes paths in overrides of a file absolute: they are relative to that file, as in an experiment.
+
+A worker, a resumed campaign and a printed command then read the same files from any folder.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from controllers.law_file import file_of
+from testbed.campaign.inline_toml import inline
+from testbed.config.key import Key, assignment
+from testbed.config.shipped import shipped
+from testbed.config.source import value_of
+from testbed.config.tree import trouble_at
+
+
+def anchored(text: str, folder: Path) -> str:
+    """An override with absolute paths for those that are relative to `folder`.
+
+    Names of shipped files, and texts that are no overrides, stay as they are.
+    """
+    try:
+        key, raw = assignment(text)
+        value = value_of(raw)
+    except ValueError:
+        return text
+    placed = _placed(key, value, folder)
+    return text if placed == value else text.rstrip().removesuffix(raw) + inline(placed)
+
+
+def _placed(key: Key, value: Any, folder: Path) -> Any:
+    if isinstance(value, dict):
+        return {name: _placed((*key, name), child, folder) for name, child in value.items()}
+    if isinstance(value, list):
+        return [_placed((*key, i), child, folder) for i, child in enumerate(value)]
+    return _path(key, value, folder) if isinstance(value, str) else value
+
+
+def _path(key: Key, text: str, folder: Path) -> str:
+    match key:
+        case ("controller", "law") | ("forks", _, "controller", "law"):
+            path, _, name = text.rpartition(":")
+            return text if file_of(text) is None else f"{(folder / path).resolve()}:{name}"
+        case ("controller", "file") | ("forks", _, "controller", "file"):
+            known: dict[str, Path] = {}
+        case ("table",):
+            known = shipped("tables")
+        case ("vehicles", _, "model"):
+            known = shipped("vehicles")
+        case ("faults",):
+            known = {}
+        case _:
+            return text
+    file = folder / text
+    return text if text in known and trouble_at(file) is not None else str(file.resolve())
