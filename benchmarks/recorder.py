@@ -22,7 +22,8 @@ import numpy as np
 
 from testbed.core.types import HostTick, Tick
 from testbed.logs.log_reader import LogReader
-from testbed.logs.recorder import Motion, Recorder, Truth
+from testbed.logs.recorder import Recorder
+from testbed.logs.truth import Motion, Truth
 
 VEHICLES, RATE_HZ = 6, 100.0
 

@@ -203,7 +203,7 @@ def print_scores(table: list[Score]) -> None:
     why = list(reasons_of(table))
     if why:
         lines = Grid("not passed", "reason (runs)", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for row in why:
-            lines.add_row(*map(escape, row))
+        for name, reason in why:
+            lines.add_row(escape(name), escape(reason))
         out.print()
         show(out, lines)

@@ -12,7 +12,7 @@ from testbed.core.codes import Response
 from testbed.core.types import HostTick, Tick
 from testbed.logs.feed import News, SeenPace, SeenPhase, SeenValves, pose_of, stopping_point
 from testbed.logs.history import FlightEvent, camera_events, events, phase_change
-from testbed.logs.recorder import Truth
+from testbed.logs.truth import Truth
 from testbed.report.fault_story import (
     OVER,
     STOPPING_TOO,

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from testbed.logs.feed import News
-from testbed.logs.recorder import Truth
+from testbed.logs.truth import Truth
 
 FRAME_S = 0.1  # flight time between two pictures
 EARLY_S = 1e-6  # tolerance: times of ticks are sums of periods

@@ -26,7 +26,7 @@ from testbed.dashboard.static_scene import (
 )
 from testbed.logs.feed import SeenPace, SeenPhase, pose_of, stopping_point
 from testbed.logs.history import FlightEvent, camera_events, events, phase_change
-from testbed.logs.recorder import Truth
+from testbed.logs.truth import Truth
 from testbed.report.fault_story import OVER, SUPERVISOR, FaultyVehicles, Story
 from testbed.report.law import law_of, range_of
 

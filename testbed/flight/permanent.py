@@ -128,7 +128,7 @@ def certain_always(far, m, least, kind):
         least: smallest size of each kind that is a fault.
         kind: see hypotheses.py.
     """
-    other, margin = beyond(far.gains, kind), CLEAR if kind == THRUST or kind == MASS else 0.0
+    other, margin = beyond(far.gains, kind), CLEAR if kind in (THRUST, MASS) else 0.0
     since = m.later[kind] == 0.0 and (other < WORTH or far.gains[kind] >= other + margin)
     enough = kind != TURNED or m.sums >= LEAST_SUMS
     return certain(m.gains, m.sizes, least, kind) if since and enough else 0.0

@@ -21,8 +21,8 @@ from testbed.core.records.ros import schema_text
 from testbed.core.types import Demand, EndingTick, HostTick, Pose, Reference, State, Tick, Twist
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
 from testbed.logs.packing import unpack
-from testbed.logs.recorder import Motion, Truth
 from testbed.logs.row_reader import RowReader, fault_of
+from testbed.logs.truth import Motion, Truth
 
 
 class Loop(Struct, frozen=True, gc=False):

@@ -65,24 +65,6 @@ class RecorderError(TestbedError):
     """The log cannot be written, for instance because the disk is full."""
 
 
-class Motion(Struct, frozen=True, gc=False):
-    """Pose and twist of one vehicle in W."""
-
-    x: float  # [m]
-    y: float  # [m]
-    theta: float  # [rad]
-    vx: float  # [m/s]
-    vy: float  # [m/s]
-    omega: float  # [rad/s]
-
-
-class Truth(Struct, frozen=True, gc=False):
-    """True poses of the vehicles at a tick."""
-
-    t: float  # [s]
-    vehicles: dict[str, Motion]
-
-
 class Recorder:
     """Writes a log; a context manager that finishes the file after any end of the flight.
 
@@ -122,9 +104,9 @@ class Recorder:
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
             *(str(path), str(warn_below), str(end_below)),
         ]
-        self._met = False  # the writer has created the file
         self._span, self._tick = span_ns, tick_ns
         self._begins: int | None = None  # time of the chunk's first tick [ns]
+        self._met = False  # the writer has created the file
         self._unread = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line
         self._pack = msgspec.msgpack.Encoder().encode_into
@@ -200,13 +182,11 @@ class Recorder:
 
     def due_in(self, times: Sequence[float]) -> int:
         """How many of the ticks at these times come until the next `mark`."""
-        last = (k for k, t in enumerate(times, 1) if self._is_last(round(t * 1e9)))
-        return next(last, len(times))
+        return next((k for k, t in enumerate(times, 1) if self._ends(round(t * 1e9))), len(times))
 
-    def _is_last(self, now: int) -> bool:
-        """Whether the tick at this time [ns] is the last one of the chunk."""
-        if self._begins is None:
-            self._begins = now
+    def _ends(self, now: int) -> bool:
+        """Whether the chunk ends with the tick at this time [ns]."""
+        self._begins = now if self._begins is None else self._begins
         return now + self._tick - self._begins >= self._span
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
@@ -268,7 +248,7 @@ class Recorder:
             RecorderError: the writer has ended, or the disk is nearly full.
         """
         now = round(t * 1e9)
-        due = self._is_last(now)
+        due = self._ends(now)
         if self._fast and not due and len(self._block) < LARGEST:
             if self._pending:
                 self._hand_over()

@@ -19,16 +19,9 @@ from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import AnyHostTick, AnyTick, FlownHostTick, FlownTick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
-from testbed.logs.recorder import (
-    CAREFUL_SPAN_NS,
-    FAST_SPAN_NS,
-    SPAN_NS,
-    Motion,
-    Recorder,
-    RecorderError,
-    Truth,
-)
+from testbed.logs.recorder import CAREFUL_SPAN_NS, FAST_SPAN_NS, SPAN_NS, Recorder, RecorderError
 from testbed.logs.tick_row import Names
+from testbed.logs.truth import Motion, Truth
 from testbed.metrics.run_metrics import Metrics, ReferenceLog, with_jets
 from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience

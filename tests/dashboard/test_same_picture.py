@@ -24,7 +24,7 @@ from testbed.dashboard.static_scene import FAULTY, HUES  # noqa: E402
 from testbed.logs.feed import LogFeed, News  # noqa: E402
 from testbed.logs.history import gather  # noqa: E402
 from testbed.logs.log_reader import LogReader  # noqa: E402
-from testbed.logs.recorder import Truth  # noqa: E402
+from testbed.logs.truth import Truth  # noqa: E402
 
 NOT_VALUES = ("rerun.controls.RowId", "log_time", "log_tick", "t")
 

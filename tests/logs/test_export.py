@@ -21,8 +21,9 @@ from testbed.core.types import (
 )
 from testbed.logs.export import WRITERS, ExportError, atomic_write, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, Row
-from testbed.logs.recorder import Motion, Recorder, Truth
+from testbed.logs.recorder import Recorder
 from testbed.logs.topics import survey
+from testbed.logs.truth import Motion, Truth
 
 STILL = Wrench(0.0, 0.0, 0.0)
 FAULT = FaultReport("jet_3", "a jet is stuck", detector="jet_open", value=0.7)

@@ -14,8 +14,9 @@ from testbed.core.records.definition import MESSAGES
 from testbed.core.records.ros import schema_text
 from testbed.logs import recorder as recording
 from testbed.logs.log_reader import LogReader
-from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
+from testbed.logs.recorder import Recorder, RecorderError
 from testbed.logs.tick_row import REPEAT_S
+from testbed.logs.truth import Motion, Truth
 
 HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 

@@ -16,7 +16,8 @@ from testbed.logs.frames import Mark, Messages, One, Stack, Table, Topic
 from testbed.logs.log_reader import LogReader
 from testbed.logs.mcap_writer import Disk, DiskFullError, frames, singly, write_log
 from testbed.logs.packing import Packer
-from testbed.logs.recorder import FAST_SPAN_NS, SPAN_NS, Motion, Recorder, RecorderError, Truth
+from testbed.logs.recorder import FAST_SPAN_NS, SPAN_NS, Recorder, RecorderError
+from testbed.logs.truth import Motion, Truth
 
 HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 PERIOD = 0.01  # [s] of the run between two messages
@@ -25,7 +26,8 @@ PERIOD = 0.01  # [s] of the run between two messages
 FLIGHT = """
 import sys, threading, time
 from pathlib import Path
-from testbed.logs.recorder import Motion, Recorder, Truth
+from testbed.logs.recorder import Recorder
+from testbed.logs.truth import Motion, Truth
 
 begun, pause = time.monotonic(), threading.Event()
 with Recorder(Path(sys.argv[1])) as recorder:

@@ -25,7 +25,8 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.logs.log_reader import LogError, LogReader
-from testbed.logs.recorder import Motion, Recorder, Truth
+from testbed.logs.recorder import Recorder
+from testbed.logs.truth import Motion, Truth
 from testbed.net.ros2 import Ros2Node
 from testbed.net.ros2_publisher import publish
 from testbed.net.session import dial, listen
