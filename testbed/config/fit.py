@@ -35,7 +35,8 @@ from testbed.flight.parameters import SPARE_FORCE
 BRISK = 0.03  # acceleration a law should have: 1.4 m in 14 s [m/s^2] [assumption]
 SHARE, LEAST_SHARE = 0.6, 0.3  # of the force for the law; the rest is for feedback [assumption]
 TURNING = 0.1  # of alpha for a turn: torque is served before force [assumption]
-LIVES = 3.5  # jet periods without a setpoint, as `link_late` of the fault table [assumption]
+PLANS = 8.0  # jet periods for which references are planned and live, as at 0.1 s [assumption]
+LIVES = 3.5  # the same of a demand, which pushes for so long [assumption]
 FASTEST_TURN = 0.1  # half a turn in 13 s [rad/s^2] [assumption]
 LOOP, HEADING_LOOP = 1 / 8, 1 / 4  # bandwidth times T: 14 and 29 degrees of phase
 WIDEST, WIDEST_HEADING = 0.8, 1.5  # [rad/s]
@@ -172,11 +173,16 @@ def _guidance(experiment: Experiment) -> Iterator[Default]:
 
 
 def _life(experiment: Experiment) -> Iterator[Default]:
-    """A setpoint lives until three in a row are lost: one that is lost must not end a flight."""
+    """A setpoint outlives bursts of lost ones at any period: a burst is so many, not so long."""
     period, usual = experiment.flight.jet_period_s, GuidanceParams().setpoint_life_s
+    ahead = experiment.guidance.preview_s
+    life, why = PLANS * period - ahead, f", less the {ahead:g} s planned ahead"
+    periods = PLANS
+    if experiment.guidance.mode == "wrench":
+        life, why, periods = LIVES * period, "", LIVES
     yield Default(
-        ("guidance", "setpoint_life_s"), max(usual, LIVES * period),
-        f"{LIVES:g} jet periods of {period:g} s, at least {usual:g} s",
+        ("guidance", "setpoint_life_s"), max(usual, round(life, 9)),
+        f"{periods:g} jet periods of {period:g} s{why}, at least {usual:g} s",
     )  # fmt: skip
 
 

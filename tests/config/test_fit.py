@@ -120,9 +120,17 @@ def test_no_number_that_is_allowed_makes_a_default_that_is_not(overrides):
     assert dump(loads(tomli_w.dumps(dump(experiment)))) == dump(experiment)
 
 
-@pytest.mark.parametrize(("period", "life"), [(0.02, 0.5), (0.1, 0.5), (0.5, 1.75), (1.0, 3.5)])
-def test_a_setpoint_outlives_two_that_are_lost(period, life):
-    assert derived(f"flight.jet_period_s={period}")["guidance.setpoint_life_s"] == life
+@pytest.mark.parametrize(
+    ("mode", "period", "life"),
+    [
+        ("reference", 0.02, 0.5), ("reference", 0.1, 0.5), ("reference", 0.2, 1.3),
+        ("reference", 0.5, 3.7), ("reference", 1.0, 7.7),
+        ("wrench", 0.02, 0.5), ("wrench", 0.1, 0.5), ("wrench", 0.5, 1.75), ("wrench", 1.0, 3.5),
+    ],
+)  # fmt: skip
+def test_references_outlive_a_burst_of_lost_ones_and_demands_two(mode, period, life):
+    numbers = derived(f"flight.jet_period_s={period}", f"guidance.mode={mode}")
+    assert numbers["guidance.setpoint_life_s"] == life
 
 
 def test_the_torque_without_a_force_of_the_shipped_vehicle():
