@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
+from testbed.core.jets import effect_matrix
 from testbed.core.landing import PADS
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
@@ -35,7 +36,7 @@ DELAYS = 4  # tested delays: 1 to so many looks
 X, Y, SPUN, SLOWED, ALL, PUSHED, ROTATED, DELAYED = range(8)
 COLUMNS = DELAYED + DELAYS
 MOST_PULL = 1.0  # [m/s^2]
-MOST_TWIST = 10.0  # [rad/s^2]
+MOST_TWIST = 0.25  # of what the strongest jet turns; a stronger torque is no hose's
 MOST_DRAG = 20.0  # [N s/m]
 MOST_SCALE = 3.0  # thrust of four times the file's
 MOST_TURN = 0.6  # [rad]
@@ -96,18 +97,18 @@ def gained(fits, own, low, high):
 
 
 @compiled
-def score(fits, own, first, period, start, scales, gains, sizes, way):
+def score(fits, own, first, period, twist, start, gains, sizes, way):
     """Keep the best of every kind in `gains` and `sizes`, and the direction of a pull in `way`.
 
-    What a file says wrongly has been wrong since before the flight. Thrust may also be lost in it.
+    What a file says wrongly has been wrong since before the flight.
 
     Args:
         fits: S of every column.
         own: N of every column.
         first: place of the first cause.
         period: of a look [s].
+        twist: largest torque of a hose [rad/s^2].
         start: whether these sums begin where those that remember most begin.
-        scales: whether thrust and mass are tested.
         gains: changed in place.
         sizes: changed in place.
         way: changed in place.
@@ -118,14 +119,13 @@ def score(fits, own, first, period, start, scales, gains, sizes, way):
         gains[PULL], sizes[PULL] = gain_x + gain_y, np.sqrt(px * px + py * py)
         way[0], way[1] = px, py
     one = first + SPUN
-    keep(TWIST, 1.0, gained(fits[one], own[one], -MOST_TWIST, MOST_TWIST), gains, sizes)
+    keep(TWIST, 1.0, gained(fits[one], own[one], -twist, twist), gains, sizes)
     one = first + SLOWED
     keep(DRAG, 1.0, gained(fits[one], own[one], 0.0, MOST_DRAG), gains, sizes)
-    if scales:
+    if start:
         for kind, column in ((THRUST, ALL), (MASS, PUSHED)):
             one = first + column
             keep(kind, 1.0, gained(fits[one], own[one], -1.0, MOST_SCALE), gains, sizes)
-    if start:
         one = first + ROTATED
         keep(TURNED, 1.0, gained(fits[one], own[one], -MOST_TURN, MOST_TURN), gains, sizes)
     for d in range(DELAYS):
@@ -189,6 +189,12 @@ def pads_of(vehicle: Vehicle) -> Array:
     """What a drag of 1 N s/m takes from velocity and spin [1/s]."""
     arm = PADS * vehicle.radius
     return np.array([1.0 / vehicle.mass, arm * arm / vehicle.inertia])
+
+
+def twist_of(vehicle: Vehicle) -> float:
+    """Largest torque of a hose [rad/s^2]."""
+    turns = np.abs(effect_matrix(vehicle.jets, about=vehicle.com)[2]) / vehicle.inertia
+    return MOST_TWIST * float(turns.max())
 
 
 CAUSES = {  # detector -> kind of its cause

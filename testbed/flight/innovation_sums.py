@@ -288,7 +288,7 @@ def weigh(p, m, sums, flow):
             own[h], fits[h] = sure * sums.scores[b, 0, h], sure * sums.scores[b, 1, h]
         suspect_jets(own, fits, own, n, m)  # of x'x nothing is left but N
         start = b == BEGINNINGS - 1
-        score(fits, own, 2 * n, p.period, start, start, m.gains, m.sizes, m.way)
+        score(fits, own, 2 * n, p.period, p.twist, start, m.gains, m.sizes, m.way)
         gain = max(m.leak.gain, m.weak.gain, m.gains.max())
         if gain > most:
             most, m.began = gain, b

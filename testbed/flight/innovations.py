@@ -35,6 +35,7 @@ from testbed.flight.hypotheses import (
     X,
     Y,
     pads_of,
+    twist_of,
 )
 from testbed.flight.innovation_sums import FORGETS, Look, add, age, clear, learn, weigh
 from testbed.flight.record import record
@@ -47,7 +48,7 @@ MEMORY_S = 300.0  # time constant of forgetting [s]
 STAYS_S = 1000.0  # with which the uncertain parameters change [s, assumed]
 GAP = 1.0  # after this time without poses the filter begins anew [s]
 SLOPE = 0.02  # at the start, one sigma [m/s^2]
-SPIN = 0.1  # at the start, one sigma, as a share of the hardest turn that is the jets'
+SPIN = 0.1  # at the start, one sigma, in the largest torque of a hose
 UNKNOWN = 0.2  # speed at the start, one sigma [m/s, rad/s]
 WANDER = 1e-4  # unexplained acceleration, random walk [m/s^2 / sqrt(s)]
 SPIN_WANDER = 1e-4  # [rad/s^2 / sqrt(s)]
@@ -65,7 +66,7 @@ class Known(NamedTuple):
     sure: Array  # 1 / tolerance^2 of z: thrust and direction of jets, inertia, mass centre, (m,)
     turned: Array  # torque of a jet's whole thrust that points 1 rad further, (n,) [N m]
     pads: Array  # see hypotheses.pads_of
-    spin: float  # unexplained at the start, one sigma [rad/s^2]
+    twist: float  # see hypotheses.twist_of [rad/s^2]
     hardest: Array  # largest acceleration that is the jets' [m/s^2, rad/s^2]
     period: float  # of a look [s]
     keep: float  # factor of forgetting, every FORGETS looks
@@ -141,7 +142,7 @@ def begin(p, m, sums, flown, sample):
     for axis in range(3):
         slope = m.cov[axis, 2, 2]
         if slope == 0.0:
-            slope = p.spin * p.spin if axis == 2 else SLOPE * SLOPE
+            slope = (SPIN * p.twist) ** 2 if axis == 2 else SLOPE * SLOPE
         m.cov[axis] = 0.0
         m.cov[axis, 0, 0], m.cov[axis, 1, 1] = p.noise[axis // 2], UNKNOWN * UNKNOWN
         m.cov[axis, 2, 2] = slope
@@ -352,6 +353,6 @@ def known_of(
         vehicle.com,
         np.array([mocap.noise**2 + (x * x + y * y) * turn, turn]) + 1e-16,
         vehicle.tolerance.pulse, bumps * bumps / CELL, sure, np.array(turned), pads_of(vehicle),
-        SPIN * hardest[1], hardest, period, 1.0 - min(0.5, FORGETS * period / MEMORY_S),
+        twist_of(vehicle), hardest, period, 1.0 - min(0.5, FORGETS * period / MEMORY_S),
         1.0 - min(0.5, FORGETS * period / STAYS_S),
     )  # fmt: skip

@@ -38,7 +38,7 @@ from testbed.core.vehicle import Vehicle
 from testbed.flight import innovation_sums, innovations
 from testbed.flight.effectiveness import resolve
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of
+from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of, twist_of
 from testbed.flight.nudges import Nudges, judge, note, note_long
 from testbed.flight.record import record
 from testbed.flight.response import response
@@ -85,6 +85,7 @@ class Known(NamedTuple):
     bumps: float  # [m/s^2], one sigma
     rough: float  # variance of a look's push by bumps beyond BUMPS; they do not turn it [m^2/s^2]
     shown: Array  # see response.py, (looks, 2)
+    twist: float  # see hypotheses.twist_of [rad/s^2]
     most: Array  # largest residual, push and turn [m/s, rad/s]
     period: float  # of a look [s]
     ticks: int  # in a look
@@ -288,7 +289,7 @@ def weigh_short(known, m, evidence):
     z = known.sure.shape[0]
     least, y = scratch((z, z)), scratch(z)
     factor(evidence.near.normal, known.sure, 1.0 / slope, least, y)
-    decide(evidence.near, least, y, known.period, False, m)
+    decide(evidence.near, least, y, known.period, known.twist, False, m)
     judge(evidence.nudges.near, least, y, m)
 
 
@@ -326,7 +327,7 @@ def weigh_long(known, m, evidence):
     z = known.sure.shape[0]
     least, y = scratch((z, z)), scratch(z)
     factor(far.normal, known.sure, 1.0 / slope, least, y)
-    m.began = decide(far, least, y, known.period, True, m.far)
+    m.began = decide(far, least, y, known.period, known.twist, True, m.far)
     judge(evidence.nudges.far, least, y, m.far)
     m.summed, evidence.sums[:] = 0, 0.0
 
@@ -366,7 +367,7 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
         tolerance**-2.0,
         slope, bumps, ALIKE * (period * (bumps - BUMPS)) ** 2,
         np.ascontiguousarray(response(estimator, vehicle, mocap, period)),
-        period * hardest, period,
+        twist_of(vehicle), period * hardest, period,
         ticks, max(TRUSTED_AGE, mocap.oldest_s), max(1, round(BLOCK / period)),
         1.0 - min(0.5, period / MEMORY_S), max(1, round(STRETCH / period)),
         least_of(vehicle, table, bumps), pads_of(vehicle), believes,

@@ -39,7 +39,7 @@ from testbed.flight.record import record
 from testbed.flight.window import VERDICT, WHITE, Window, clear, decide, factor, forget, listen
 
 KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
-NEVER_LATER = (THRUST, MASS, TURNED)  # causes that are refuted by one that began in flight
+NEVER_LATER = (THRUST, MASS, TURNED)  # causes that are tested since the start only
 TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
 LEAST_SUMS = 10  # before a heading is believed to be off: unequal jets look like it for a while
 ROUGHLY = 0.25  # sizes of thrust or mass that differ by this share are the same
@@ -84,7 +84,7 @@ def update(p, m, window, evidence, far):
     least, y = scratch((z, z)), scratch(z)
     factor(weighed.normal, p.sure, 1.0 / slope, least, y)
     forget(m)
-    decide(weighed, least, y, p.period, True, m)
+    decide(weighed, least, y, p.period, p.twist, True, m)
     m.gains[NUDGE], m.sizes[NUDGE] = far.gains[NUDGE], far.sizes[NUDGE]
     best = max(m.gains[:NUDGE].max(), 0.0)
     left = max(0.0, sure * m.squares - (y * y).sum() - 2.0 * best) / sure
@@ -128,8 +128,8 @@ def certain_always(far, m, least, kind):
         least: smallest size of each kind that is a fault.
         kind: see hypotheses.py.
     """
-    other, margin = beyond(far.gains, kind), CLEAR if kind in (THRUST, MASS) else 0.0
-    since = m.later[kind] == 0.0 and (other < WORTH or far.gains[kind] >= other + margin)
+    other = beyond(far.gains, kind)
+    since = m.later[kind] == 0.0 and (other < WORTH or far.gains[kind] >= other)
     enough = kind != TURNED or m.sums >= LEAST_SUMS
     return certain(m.gains, m.sizes, least, kind) if since and enough else 0.0
 

@@ -241,7 +241,7 @@ def suspect_jets(squares, fits, own, n, found):
 
 
 @compiled
-def decide(window, least, y, period, every, found):
+def decide(window, least, y, period, twist, every, found):
     """Write the best cause of each kind to `found`, a record of VERDICT.
 
     Returns the block, counted from the newest one, in which the best of all of them began.
@@ -251,8 +251,8 @@ def decide(window, least, y, period, every, found):
         least: see `factor`.
         y: see `factor`.
         period: of a look [s].
-        every: whether to test every beginning, not those of BEGUN only, and thrust and mass from
-            each of them, not from the oldest only.
+        twist: largest torque of a hose [rad/s^2].
+        every: whether to test every beginning, not those of BEGUN only.
         found: changed in place.
     """
     blocks, worth, now = window.blocks, window.worth, int(window.newest[0])
@@ -272,8 +272,7 @@ def decide(window, least, y, period, every, found):
         suspect(since, least, y, parts, fits, own)
         suspect_jets(since[m], fits, own, n, found)
         start = k == blocks.shape[0] - 1
-        gains, sizes = found.gains, found.sizes
-        score(fits, own, 2 * n, period, start, every or start, gains, sizes, found.way)
+        score(fits, own, 2 * n, period, twist, start, found.gains, found.sizes, found.way)
         gain = max(found.leak.gain, found.weak.gain, found.gains.max())
         if gain > best:
             began, best = k, gain

@@ -185,9 +185,8 @@ class Recorder:
         return next((k for k, t in enumerate(times, 1) if self._ends(round(t * 1e9))), len(times))
 
     def _ends(self, now: int) -> bool:
-        """Whether the chunk ends with the tick at this time [ns]."""
-        self._begins = now if self._begins is None else self._begins
-        return now + self._tick - self._begins >= self._span
+        """Whether the chunk ends with the tick at this time [ns]; the first tick has its own."""
+        return self._begins is None or now + self._tick - self._begins >= self._span
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""
@@ -256,7 +255,7 @@ class Recorder:
         if self._block:
             self._append(self._block.take())
         if due:
-            self._begins = now + self._tick
+            self._begins = now if self._begins is None else now + self._tick
             self._send(Mark())
         self._hand_over()
         assert self._writer.stderr is not None

@@ -39,7 +39,7 @@ def test_poses_that_freeze_and_dither_may_look_like_a_wall():
     assert (found.named, found.missed) == ("bumped", False)
 
 
-@pytest.mark.parametrize("number", [1, 3, 20])
+@pytest.mark.parametrize("number", [3, 18, 20])
 def test_a_vehicle_is_not_asked_to_shut_the_valves_of_another(number):
     """It lands, and so the other one's valves are shut; its own obey the other one's brake."""
     found = swapped(number)
