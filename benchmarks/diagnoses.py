@@ -111,7 +111,6 @@ FAULTS = {
     "late from the start": Fault("delay_mocap", (0.15, 0.4), ("poses_late",), from_start=True),
     "frozen, dither to 20 um": Fault("freeze_mocap", (1e-9, 2e-5), ("pose_frozen", "pose_quiet")),
     "4 Hz instead of 100": Fault("slow_mocap", (3.0, 10.0), ("pose_rate_low",)),
-    "thrust x0.5-0.7 in flight": Fault("thrust", (0.5, 0.7), SCALE, "", (), 60.0),
 }
 
 

@@ -42,10 +42,8 @@ RANGES = {  # name: low, high
     "spread [%]": (0.0, 20.0),
     "cameras lost [%]": (0.0, 20.0),
     "radio lost [%]": (0.0, 40.0),
-    "torque [%]": (0.0, 30.0),  # of a hose or the bearings' air, in what a jet turns with; 1 sigma
 }
 METRE = ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
-ARM = 0.09  # of the shipped vehicle's jets [m]
 LOSS_S = 0.06  # mean length of a loss of the cameras
 LASTS_S = 30.0
 HOLDS = 0.5  # largest share of the jets' force that the slope and an unequal pair may take
@@ -99,7 +97,6 @@ def overrides_of(drawn: dict[str, float], number: int, lasts: float, centre: flo
         "table.mocap.noise_deg": 0.15 * drawn["noise [mm]"],  # as of the shipped cameras
         "table.mocap.dropout_s": LOSS_S,
         "table.mocap.dropout_rate": lost / (1.0 - lost) / LOSS_S,
-        "table.spread.hose_torque": 1e-2 * drawn["torque [%]"] * ARM * drawn["thrust [N]"],
         "table.link.loss": radio,
         "table.link.burst_loss": max(0.5, radio),
     }

@@ -50,7 +50,7 @@ def test_a_quiet_hold_does_not_look_like_a_wrong_mass(seed, words):
     ("experiment", "seed", "words"),
     [
         ("hold", 1, ["table.spread.hose_torque=0.003"]),  # was: a jet leaks 8 % of its thrust
-        ("hold", 7, ["table.spread.hose_torque=0.02"]),  # was: valve stuck open, after 0.9 s
+        ("hold", 7, ["table.spread.hose_torque=0.01"]),
         ("hold", 3, ["table.spread.hose_torque=0.005", "vehicles.*.model=uky"]),
     ],
 )
