@@ -133,6 +133,7 @@ def test_a_flight_that_is_killed_leaves_a_whole_log(tmp_path):
     path = tmp_path / "log.mcap"
     script = (
         "import sys; from pathlib import Path; from testbed.logs.recorder import *\n"
+        "from testbed.logs.truth import Truth\n"
         "with Recorder(Path(sys.argv[1])) as r:\n"
         "    for k in range(20_000): r.write('/truth', k, Truth(k, {}))\n"
         "    print(r._writer.pid, flush=True)\n"
