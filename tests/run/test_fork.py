@@ -89,7 +89,7 @@ def test_a_log_that_is_cut_off_before_the_fork_is_said_before_anything_flies(tmp
     (run.folder / "log.mcap").write_bytes(data[: len(data) * 2 // 3])
     fork = run.fork(20.0, log=tmp_path / "b")
     assert fork.metrics.duration_s == 40.0
-    with pytest.raises(ForkError, match="one that is whole up to 24.9 s") as error:
+    with pytest.raises(ForkError, match=r"one that is whole up to 24\.9 s") as error:
         run.fork(30.0, log=tmp_path / "c")
     assert "cut off at 24.90 s" in error.value.hint
     assert not (tmp_path / "c").exists()
