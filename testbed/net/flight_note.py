@@ -34,6 +34,7 @@ class StoppableFlight(NamedTuple):
     ends_s: float = 0.0  # time to end after it has heard a stop; 0: not known [s]
 
 
+_written: Path | None = None  # the newest note of this process
 KINDS = [str, str, str, list, str, int, str, str, str, float]
 
 
@@ -107,7 +108,7 @@ def noted(
     )
     try:
         text = json.dumps(flight._asdict()).encode()
-        note = _in_first_folder(lambda note: write_atomic(note, text))
+        note = _in_first_folder(lambda note: _write(note, text))
     except OSError as error:
         note = None
         place = f" --connect {endpoint}" if endpoint else ": not on the twin, use Ctrl-C"
@@ -118,6 +119,14 @@ def noted(
         if note is not None:
             with suppress(OSError):
                 remove(note)
+
+
+def _write(note: Path, text: bytes) -> None:
+    global _written
+    if _written is None:  # what is there is of a killed process with the same id
+        heard_stop(note).unlink(missing_ok=True)
+    write_atomic(note, text)
+    _written = note
 
 
 def withdraw(pid: int) -> None:
@@ -141,8 +150,8 @@ def heard_stop(note: Path) -> Path:
 def tell_heard() -> None:
     """Tell `testbed stop` that this process has heard it."""
     with suppress(OSError):
-        if (note := own_note()).exists():
-            heard_stop(note).touch()
+        if _written is not None and _written.exists():
+            heard_stop(_written).touch()
 
 
 def request_socket(note: Path) -> Path:

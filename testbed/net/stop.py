@@ -19,7 +19,7 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from testbed.net.flight_note import (
     StoppableFlight,
@@ -51,6 +51,14 @@ if a vehicle still moves: shut the main valve or pull the cord by hand
 """
 
 
+class AskedFlight(NamedTuple):
+    """A flight on the twin, or a run that starts, that was asked to end."""
+
+    note: Path
+    flight: StoppableFlight
+    at: float  # by the monotonic clock [s]
+
+
 def own_keys() -> Path:
     """The operator's key folder."""
     return Path.home() / ".airbearing-testbed"
@@ -77,11 +85,12 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
     from testbed.net.credentials import CredentialsError
 
     stopped: list[bool] = []
+    asked: list[AskedFlight] = []
     try:
         if keys is None and connect and not connect.startswith(("tls/", "quic/")):
             stopped.append(_stop_wires(StoppableFlight(connect, lab)))
         elif keys is None and not connect:
-            stopped += _stop_here()
+            stopped += _stop_here(asked)
             if own_keys().exists():
                 stopped.append(_stop_wires(_of(own_keys(), None)))
         else:
@@ -89,6 +98,7 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
     except CredentialsError as error:
         stopped.append(False)
         complain(str(error))
+    stopped += _wait_for(asked)  # after all hosts: it may take long, and nothing moves on the twin
     if not stopped:
         complain("no flight on this machine; on another one: testbed stop --connect, or --keys")
     elif not all(stopped):
@@ -96,9 +106,13 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
     return OK if stopped and all(stopped) else FAILED
 
 
-def _stop_here() -> Iterator[bool]:
-    """Stop every flight on this machine, and a host at the default endpoint without a note."""
-    tried, killed, asked = set(), [], []
+def _stop_here(asked: list[AskedFlight]) -> Iterator[bool]:
+    """Stop every flight on this machine, and a host at the default endpoint without a note.
+
+    Args:
+        asked: those on the twin that were asked to end are appended.
+    """
+    tried, killed = set(), []
     for note, flight in sorted(known_flights(), key=lambda one: not one[1].endpoint):
         # hosts first: they fly vehicles
         tried.add(flight.endpoint)
@@ -107,7 +121,7 @@ def _stop_here() -> Iterator[bool]:
         elif flight.endpoint:
             yield _stop_wires(flight)
         elif _ask(note, flight):
-            asked.append((note, flight))
+            asked.append(AskedFlight(note, flight, monotonic()))
         else:
             yield False
     unknown = StoppableFlight(DEFAULT)  # perhaps there is one without a note
@@ -123,7 +137,6 @@ def _stop_here() -> Iterator[bool]:
             remove(note)
     if DEFAULT not in tried and not listens and (shut := _stop_directly(unknown, _new_id())):
         yield _report(unknown, set(), shut, "no host listens", {})
-    yield from _wait_for(asked)
 
 
 def _listens(endpoint: str) -> bool:
@@ -155,29 +168,28 @@ def _ask(note: Path, flight: StoppableFlight) -> bool:
     return True
 
 
-def _wait_for(asked: Sequence[tuple[Path, StoppableFlight]]) -> Iterator[bool]:
-    """Wait for processes that were asked to end a flight; whether each did.
+def _wait_for(asked: Sequence[AskedFlight]) -> Iterator[bool]:
+    """Wait for flights that were asked to end; whether each did.
 
     One that has heard the stop may take as long as its brake does.
     """
-    began = monotonic()
-    for note, flight in asked:
-        limit_s = END_S
-        while over := note.exists() and runs(flight):
-            if monotonic() > began + limit_s:
-                if limit_s >= flight.ends_s or not heard_stop(note).exists():
-                    break
-                limit_s = flight.ends_s
-                left_s = limit_s - (monotonic() - began)
-                sys.stdout.write(f"{_named(flight)}: stops within {left_s:.0f} s\n")
+    left, told = list(asked), set[Path]()
+    while left:
+        for one in tuple(left):
+            after_s, heard = monotonic() - one.at, heard_stop(one.note).exists()
+            over = not one.note.exists() or not runs(one.flight)
+            late_s = max(END_S, one.flight.ends_s) if heard else END_S
+            if over or after_s > late_s:
+                left.remove(one)
+                words = "heard the stop and did not end" if heard else "did not answer"
+                sys.stdout.write(f"{_named(one.flight)}: {'ended' if over else words}\n")
+                yield over
+            elif after_s > END_S and one.note not in told:
+                told.add(one.note)
+                words = f"stops within {late_s - after_s:.0f} s"
+                sys.stdout.write(f"{_named(one.flight)}: {words}\n")
                 sys.stdout.flush()
-            threading.Event().wait(LOOK_S)
-        words = "ended"
-        if over:
-            heard = heard_stop(note).exists()
-            words = "heard the stop and did not end" if heard else "did not answer"
-        sys.stdout.write(f"{_named(flight)}: {words}\n")
-        yield not over
+        threading.Event().wait(LOOK_S * bool(left))
 
 
 def _named(flight: StoppableFlight) -> str:

@@ -227,7 +227,7 @@ def test_a_host_that_lives_is_stopped_before_those_that_were_killed(here, capsys
     monkeypatch.setattr(stopping, "known_flights", lambda: notes)
     monkeypatch.setattr(stopping, "runs", lambda flight: flight is lives)
     with session:
-        assert list(stopping._stop_here()) == [True, False, False]
+        assert list(stopping._stop_here([])) == [True, False, False]
         del kept
     assert capsys.readouterr().out == f"{stopping.DEFAULT}\n  sat1: stops\n{ONCE_MORE}\n"
 
@@ -240,7 +240,7 @@ def test_vehicles_of_a_killed_host_do_not_wait_for_the_default_address(here, mon
     monkeypatch.setattr(
         stopping, "_stop_directly", lambda flight, stop: asked.append(flight.endpoint) or set()
     )
-    assert list(stopping._stop_here()) == [False]
+    assert list(stopping._stop_here([])) == [False]
     assert asked == [killed.endpoint, stopping.DEFAULT]
 
 
@@ -275,17 +275,43 @@ def test_a_flight_that_has_heard_may_brake(here, capsys, process, monkeypatch, s
     assert list(here.iterdir()) == []
 
 
-def test_all_flights_on_the_twin_are_asked_before_one_is_waited_for(here, process, monkeypatch):
-    monkeypatch.setattr(stopping, "END_S", 0.1)
+def test_all_flights_on_the_twin_are_asked_before_one_is_waited_for(
+    here, process, capsys, monkeypatch
+):
+    monkeypatch.setattr(stopping, "END_S", 2.0)
     deaf, hears = (StoppableFlight("", name="hold", pid=process(one)) for one in (DEAF, WAITS))
     flights = [one._replace(started=flight_note._started(one.pid)) for one in (deaf, hears)]
     here.mkdir()
     (note := here / "note").touch()
     monkeypatch.setattr(stopping, "known_flights", lambda: [(note, one) for one in flights])
-    ended = stopping._stop_here()
-    assert next(ended) is False
-    assert not stopping.runs(flights[1])
-    assert next(ended) is True
+    assert stop_everything(None, "lab") == FAILED
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"hold on the twin, process {flights[1].pid}: ended"  # not after the deaf one
+    assert second == f"hold on the twin, process {flights[0].pid}: did not answer"
+
+
+def test_hosts_are_stopped_before_a_flight_on_the_twin_is_waited_for(here, process, monkeypatch):
+    """A brake on the twin may last a minute; the vehicles of another machine's host are real."""
+    order, pid = [], process(WAITS)
+    (keys := here.parent / "keys").mkdir()
+    monkeypatch.setattr(stopping, "own_keys", lambda: keys)
+    monkeypatch.setattr(stopping, "_of", lambda keys, connect: StoppableFlight("tcp/far:1"))
+    monkeypatch.setattr(stopping, "_stop_wires", lambda flight: order.append("host") or True)
+    monkeypatch.setattr(stopping, "_wait_for", lambda asked: [order.append(len(asked)) or True])
+    with noted("", "", name="hold", pid=pid):
+        assert stop_everything(None, "lab") == OK
+    assert order == ["host", 1]
+
+
+def test_a_killed_process_with_the_same_number_has_heard_nothing_of_this_stop(here, monkeypatch):
+    monkeypatch.setattr(flight_note, "_written", None)
+    here.mkdir(mode=0o700)
+    (old := here / f"{os.getpid()}.heard").touch()
+    with noted("", "", name="hold"):
+        assert not old.exists()
+        flight_note.tell_heard()
+        with noted("", "", name="hold", ends_s=9.0):  # the flight that this run began
+            assert old.exists()
 
 
 def test_another_process_with_the_same_number_is_left_alone(here, process):
@@ -394,5 +420,7 @@ def test_hosts_are_stopped_before_what_is_waited_for(here, monkeypatch):
     monkeypatch.setattr(stopping, "_stop_wires", lambda flight: asked.append(flight) or True)
     monkeypatch.setattr(stopping, "end_twin", lambda note, flight: asked.append(flight))
     monkeypatch.setattr(stopping, "_stop_directly", lambda *args: set())
-    assert list(stopping._stop_here()) == [True, True]
+    waited_for = []
+    assert list(stopping._stop_here(waited_for)) == [True]
     assert asked == [host, twin]
+    assert [one.flight for one in waited_for] == [twin]
