@@ -24,7 +24,7 @@ def anchored(text: str, folder: Path) -> str:
         value = value_of(raw)
     except ValueError:
         return text
-    placed = _placed(key, value, folder)
+    placed = _placed(key, value, folder.resolve())
     return text if placed == value else text.rstrip().removesuffix(raw) + inline(placed)
 
 
@@ -40,7 +40,7 @@ def _path(key: Key, text: str, folder: Path) -> str:
     match key:
         case ("controller", "law") | ("forks", _, "controller", "law"):
             path, _, name = text.rpartition(":")
-            return text if file_of(text) is None else f"{(folder / path).resolve()}:{name}"
+            return text if file_of(text) is None else f"{folder / path}:{name}"
         case ("controller", "file") | ("forks", _, "controller", "file"):
             known: dict[str, Path] = {}
         case ("table",):
@@ -52,4 +52,4 @@ def _path(key: Key, text: str, folder: Path) -> str:
         case _:
             return text
     file = folder / text
-    return text if text in known and trouble_at(file) is not None else str(file.resolve())
+    return text if text in known and trouble_at(file) is not None else str(file)

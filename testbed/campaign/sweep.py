@@ -173,6 +173,9 @@ class Campaign:
             for points in (axis.points() for axis in file.grid)
         ]
         self._grid = list(product(*axes))
+        given = {text for axis in file.grid for _, texts in axis.points() for text in texts}
+        used = [text for points in axes for _, texts in points for text in texts]
+        self._files = [text for text in used if text not in given]
         self._shares = shares(file)
 
     @property
@@ -208,7 +211,8 @@ class Campaign:
 
     def payload(self) -> bytes:
         """Everything that determines what a run flies, and whether it passes."""
-        return msgspec.json.encode((deciding(self.file), self.base))
+        files = [self._files] if self._files else []  # the same name elsewhere is another file
+        return msgspec.json.encode((deciding(self.file), self.base, *files))
 
 
 def deciding(file: CampaignFile) -> CampaignFile:

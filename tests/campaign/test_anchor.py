@@ -64,6 +64,26 @@ def test_a_file_that_is_missing_is_named_by_its_whole_path(lab):
         assert str(lab / "own.toml") in caught.value.where
 
 
+def test_a_grid_with_other_files_is_another_campaign(lab, tmp_path):
+    shutil.copytree(lab, tmp_path / "other")
+    for axis, same in (
+        (AXES["values"], False),
+        ({"key": "controller.bandwidth", "values": [0.2]}, True),
+    ):
+        payloads = {
+            load_campaign(written(folder, grid=[axis])).payload()
+            for folder in (lab, tmp_path / "other")
+        }
+        assert (len(payloads) == 1) is same
+
+
+@pytest.mark.parametrize("name", ['"a\\u0000"', "loop.toml"])
+def test_a_path_that_cannot_be_resolved_is_refused(lab, name):
+    (lab / "loop.toml").symlink_to(lab / "loop.toml")
+    with pytest.raises(ConfigError):
+        load_campaign(written(lab, set=[f"table={name}"]))
+
+
 @pytest.mark.parametrize(
     ("text", "placed"),
     [
