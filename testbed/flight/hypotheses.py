@@ -100,15 +100,16 @@ def gained(fits, own, low, high):
 def score(fits, own, first, period, twist, start, gains, sizes, way):
     """Keep the best of every kind in `gains` and `sizes`, and the direction of a pull in `way`.
 
-    What a file says wrongly has been wrong since before the flight.
+    Thrust, mass and heading are tested from the oldest beginning only (`start`), because an error
+    in a file is there before the flight.
 
     Args:
         fits: S of every column.
         own: N of every column.
         first: place of the first cause.
         period: of a look [s].
-        twist: largest torque of a hose [rad/s^2].
-        start: whether these sums begin where those that remember most begin.
+        twist: largest turn by a hose [rad/s^2].
+        start: whether these sums go back to the oldest beginning.
         gains: changed in place.
         sizes: changed in place.
         way: changed in place.
@@ -192,7 +193,7 @@ def pads_of(vehicle: Vehicle) -> Array:
 
 
 def twist_of(vehicle: Vehicle) -> float:
-    """Largest torque of a hose [rad/s^2]."""
+    """Largest turn by a hose [rad/s^2]."""
     turns = np.abs(effect_matrix(vehicle.jets, about=vehicle.com)[2]) / vehicle.inertia
     return MOST_TWIST * float(turns.max())
 

@@ -4,8 +4,8 @@ A look is an interval of at least LOOK between two estimates. Its residual e is 
 estimated velocity and turn rate minus the change by plan and slope. Three kinds of causes explain
 it:
 
-    z_i   uncertain parameters: the thrust of every jet, the centre of mass, the local slope.
-          Each is zero within its tolerance.
+    z_i   uncertain parameters: the thrust of every jet, the centre of mass, a steady torque, the
+          local slope. Each is zero within its tolerance.
     x_j   jet j leaks or is stuck open: it pushes while it is not commanded
     x_j   jet j is too weak or stuck shut: it pushes less while it is commanded
 
@@ -42,7 +42,17 @@ from testbed.flight.hypotheses import PULL, causes, certain, least_of, pads_of, 
 from testbed.flight.nudges import Nudges, judge, note, note_long
 from testbed.flight.record import record
 from testbed.flight.response import response
-from testbed.flight.window import VERDICT, WHITE, Window, age, decide, factor, forget, listen
+from testbed.flight.window import (
+    SHARED,
+    VERDICT,
+    WHITE,
+    Window,
+    age,
+    decide,
+    factor,
+    forget,
+    listen,
+)
 
 Array = NDArray[np.float64]
 
@@ -192,7 +202,7 @@ def residual(before, now, duty, thrust_scale, known, evidence, look, late):
     """
     opened, given, n = duty[0], duty[1], duty.shape[1]
     period, shown = known.period, known.shown
-    looks, m = shown.shape[0], n + 4
+    looks, m = shown.shape[0], n + SHARED
     theta = before[0] + 0.5 * period * before[3]
     c, s = np.cos(theta), np.sin(theta)
     open_jets = 0.0
@@ -222,7 +232,7 @@ def residual(before, now, duty, thrust_scale, known, evidence, look, late):
         push_y += given[j] * ay
     fresh[2, n] = -level * push_y * known.gyration  # the centre of mass is further along x, y
     fresh[2, n + 1] = level * push_x * known.gyration
-    fresh[0, n + 2] = fresh[1, n + 3] = period
+    fresh[2, n + 2] = fresh[0, n + 3] = fresh[1, n + 4] = period
     causes(fresh, m + n, push, before, now, period, known.pads, evidence.recent, look)
     rows = fresh.shape[1]
     late[:] = 0.0
@@ -262,7 +272,7 @@ def weigh(known, m, evidence, now, duty, thrust_scale):
     if m.look % CALM == 0:
         evidence.calm[0] = evidence.calm[1]
         evidence.calm[1] = bias
-    for axis in range(2):
+    for axis in range(3):  # the long window keeps what is steady, and explains it itself
         sums[axis, -1] += known.period * bias[axis]
     if m.look % known.block == 1 % known.block:  # after `weigh_short`: each block is whole there
         age(near, 0)
@@ -351,8 +361,9 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     n = len(vehicle.jets)
     scale = np.array([[vehicle.mass], [vehicle.mass], [vehicle.inertia]])
     effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale
-    tolerance = np.full(n + 4, max(THRUST, vehicle.tolerance.thrust))
+    tolerance = np.full(n + SHARED, max(THRUST, vehicle.tolerance.thrust))
     tolerance[n:] = max(BALANCE, vehicle.tolerance.com)
+    tolerance[n + 2] = innovations.SPIN * twist_of(vehicle)
     push = float(np.hypot(effect[0], effect[1]).max())
     turn = float(np.abs(effect[2]).max())
     slope, bumps = slopes(table.tilt)

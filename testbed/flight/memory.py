@@ -27,7 +27,7 @@ from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, Evidence
 from testbed.flight.modulation import Carried
 from testbed.flight.nudges import AGO, LONG_AGO, Nudges
 from testbed.flight.record import record
-from testbed.flight.window import BLOCKS, Window, width_of
+from testbed.flight.window import BLOCKS, SHARED, Window, width_of
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         looks: of jet_faults.Known.shown.
         rows: of the fault table.
     """
-    m, size = jets + 4, FIXED.itemsize // 8
+    m, size = jets + SHARED, FIXED.itemsize // 8
     one_a_row: tuple[int, ...] = (rows,)
     one_a_jet: tuple[int, ...] = (jets,)
     causes = m + jets + COLUMNS

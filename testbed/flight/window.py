@@ -15,6 +15,7 @@ from testbed.flight.record import Kind, record
 
 Array = NDArray[np.float64]
 
+SHARED = 5  # of z, after the jets: centre of mass x, y; torque; slope x, y
 BLOCKS = 25
 BEGUN = (1, 2, 3, 4, 5, 7, 10, 14, 24)  # tested beginnings [blocks ago]; the look is in block 0
 WHITE = 2.6  # variance of the difference of two residuals, in variances of one
@@ -99,7 +100,7 @@ def listen(window, x, trust, keep, rough, white):
     spread, last, normal = window.spread, window.last, window.normal
     worth, now = window.worth, int(window.newest[0])
     block, m, rows = window.blocks[now], normal.shape[0], x.shape[1] - 1
-    n, e = m - 4, (x[0, rows], x[1, rows], x[2, rows])
+    n, e = m - SHARED, (x[0, rows], x[1, rows], x[2, rows])
     dx, dy, turn = e[0] - last[0], e[1] - last[1], e[2] - last[2]
     push = 0.5 * (dx * dx + dy * dy) / white
     spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
@@ -116,9 +117,10 @@ def listen(window, x, trust, keep, rough, white):
         for i in range(n):  # possible suspicions: jets, leaks, other causes
             block[k, i] = keep * block[k, i] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
         for i in range(m, rows):
-            block[k, i - 4] = keep * block[k, i - 4] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
-    for h in range(rows - 4):
-        i = h if h < n else h + 4
+            h = i - SHARED
+            block[k, h] = keep * block[k, h] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
+    for h in range(rows - SHARED):
+        i = h if h < n else h + SHARED
         a, b, c = x[0, i] * push, x[1, i] * push, x[2, i] * spun
         block[m, h] = keep * block[m, h] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
         block[m + 1, h] = keep * block[m + 1, h] + (a * e[0] + b * e[1] + c * e[2])
@@ -251,12 +253,12 @@ def decide(window, least, y, period, twist, every, found):
         least: see `factor`.
         y: see `factor`.
         period: of a look [s].
-        twist: largest torque of a hose [rad/s^2].
+        twist: largest turn by a hose [rad/s^2].
         every: whether to test every beginning, not those of BEGUN only.
         found: changed in place.
     """
     blocks, worth, now = window.blocks, window.worth, int(window.newest[0])
-    m, n, count = y.shape[0], y.shape[0] - 4, blocks.shape[2]
+    m, n, count = y.shape[0], y.shape[0] - SHARED, blocks.shape[2]
     since, parts = scratch((m + 2, count)), scratch((4, count))
     fits, own = scratch(count), scratch(count)
     since[:] = 0.0

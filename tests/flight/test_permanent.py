@@ -21,6 +21,7 @@ from testbed.flight.hypotheses import (
 from testbed.flight.jet_faults import known_of
 from testbed.flight.memory import make_memory
 from testbed.flight.record import ROW
+from testbed.flight.window import SHARED
 
 NOISE = np.array([8e-4, 8e-4, 2.5e-3])  # of a second's residual [m/s, m/s, rad/s]
 PUSH = 5e-3  # of the jets in a second [m/s]
@@ -33,7 +34,7 @@ class Flight:
         self.p = known_of(vehicle, 0.1, EstimatorParams(), table)
         self.memory, _ = make_memory(len(vehicle.jets), 1, len(self.p.shown), 1)
         self.m, self.far = self.memory.fixed[0].permanent, self.memory.fixed[0].jet_faults.far
-        self.rng, self.causes = np.random.default_rng(seed), 2 * len(vehicle.jets) + 4
+        self.rng, self.causes = np.random.default_rng(seed), 2 * len(vehicle.jets) + SHARED
 
     def second(self, column=None, size=0.0, jump=(0.0, 0.0, 0.0)):
         """Jets push anywhere; a cause of this size explains the residual, and a jump."""
