@@ -43,6 +43,7 @@ WORDS = {
 SURE = 3.0  # sigmas of a prediction
 SHORTEST_BLIND, LONGEST_BLIND = 0.5, 3.0  # no model is trusted longer [s] [assumption]
 DOUBLINGS, SETTLED = 50, 1e-13  # most iterations; relative change in the last
+SILENT_S, SILENT_TICKS = 1.2, 12  # before the host calls a vehicle silent, at least
 RARE = 1e-8  # per message: once in 460 hours with three vehicles at 10 Hz
 USUAL_UNDERVOLTAGE = 8.0 / 12.0  # of the battery's voltage, where the file has none
 
@@ -168,6 +169,12 @@ def silence_s(link: Link, period: float) -> float:
         chance, count = (chance @ turn) * lost, count + 1
     # one more until the next arrives, and that one's delay
     return (count + 1) * period + link.delay_s + 5.0 * link.jitter_s
+
+
+def vehicle_silent_s(table: Table, flight: FlightParams) -> float:
+    """How long the host hears nothing from a vehicle until it stops all [s]."""
+    period = flight.jet_period_s
+    return max(SILENT_S, SILENT_TICKS * period, silence_s(table.link, period))
 
 
 Texts = dict[tuple[str, str], str]  # arithmetic by row and bound

@@ -4,6 +4,7 @@ Tick k is due at k * period on the given clock. In each tick every vehicle takes
 with the data that has arrived; then the host computes setpoints for the next one.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
@@ -35,9 +36,6 @@ from testbed.flight.guidance import Guidance
 from testbed.flight.pilot import Pilot
 from testbed.flight.witnesses import Witnesses
 
-# The host stops all vehicles if it has not heard one for both of these.
-SILENT_S = 1.2  # [s]
-SILENT_TICKS = 12  # as in the row `neighbour_missing` of faults.toml
 LONGEST_STOP = 15.0  # after a fault the flight ends at the latest after this time [s]
 ENOUGH = 0.9  # of the set pressure: below it a hold ends, while there is gas to brake
 
@@ -215,15 +213,10 @@ class HostNode:
         self._fault = FaultReport(what, f"law on the host: {text}", self.name)
 
 
-def longest_silence(period: float) -> float:
-    """Longest time without a state of a vehicle that still flies [s]; `period` is a tick's [s]."""
-    return max(SILENT_S, SILENT_TICKS * period)
-
-
 def host_fault(name: str, tick: AnyHostTick, silent_s: float) -> FaultReport | None:
     """Fault that the host finds: the vehicle's law failed, or the vehicle is silent.
 
-    `silent_s` is that of `longest_silence`.
+    `silent_s` is the longest time without a state of a vehicle that still flies [s].
     """
     own_t, t = tick.own_t, tick.t
     if tick.fault is None and own_t is not None and not t - own_t <= silent_s:
@@ -267,6 +260,7 @@ def fly(
     ticks: int,
     observer: Observer,
     *,
+    silent_s: float = math.inf,
     stopped: Callable[[], int] = lambda: 0,
     ahead: Callable[[int], int] = lambda k: 0,
 ) -> Ending:
@@ -275,12 +269,13 @@ def fly(
     A fault of one vehicle stops all: they come to rest before the flight ends, as in the fault
     table. `stopped()` is the operator's number of stops, looked at when a tick is due. One ends the
     flight before this tick, but lets a stop after a fault continue; the second one ends that, too.
+    `silent_s` is that of `host_fault`, for flights with laws on the host.
     `ahead(k)` flies ticks from number `k` on in its own way, shows them to the observer and returns
     how many; it is asked while nothing is wrong.
     """
     fault: FaultReport | None = None
     failed_at, over = 0.0, False
-    silent_s, witnesses = longest_silence(period), Witnesses()
+    witnesses = Witnesses()
     k = 0
     while k < ticks:
         if fault is None and (flown := ahead(k)):

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from sim_twin.board import Board, FirmwareBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import ConfigError, Experiment, Fork
+from testbed.config.thresholds import vehicle_silent_s
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.fault_injection import ON_WIRES, Injection
 from testbed.core.jets import JetHealth
@@ -107,7 +108,8 @@ class TwinRig(Struct, frozen=True):
             asked, ahead = self._ahead(observer, lambda: 2 if self._trouble() else stopped())
             ending = fly(
                 clock, self.vehicles, self.hosts, experiment.flight.jet_period_s, experiment.ticks,
-                observer, stopped=asked, ahead=ahead,
+                observer, silent_s=vehicle_silent_s(experiment.table, experiment.flight),
+                stopped=asked, ahead=ahead,
             )  # fmt: skip
         return replace(ending, fault=ending.fault or self._trouble())
 

@@ -13,6 +13,7 @@ from msgspec.structs import asdict, replace
 
 from sim_twin.board import last_closing
 from testbed.config import Experiment, find, load
+from testbed.config.thresholds import vehicle_silent_s
 from testbed.core.codes import FaultReport, Response
 from testbed.core.fault_injection import Injection
 from testbed.faults.catalogue import CATALOGUE
@@ -32,7 +33,7 @@ from testbed.faults.drill import (
     without_means,
 )
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
-from testbed.flight.loop import SILENT_S, host_fault, longest_silence
+from testbed.flight.loop import host_fault
 from testbed.flight.parameters import FlightParams
 from testbed.metrics.afterwards import HARD
 from testbed.rig.chain import fence_of
@@ -45,7 +46,7 @@ ROOM = 0.15  # clearance around a start [m]
 class Notes:
     """Observer: records faults, responses and valve commands with times."""
 
-    def __init__(self, silent_s: float = SILENT_S) -> None:
+    def __init__(self, silent_s: float = math.inf) -> None:
         self._silent_s = silent_s  # see loop.host_fault
         self.rows: list[tuple[float, str, str]] = []  # time, vehicle, row of the fault table
         self.responses: list[tuple[float, str, Response]] = []  # time, vehicle, response
@@ -75,7 +76,7 @@ class Notes:
 
 def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled:
     """Fly one injection on the twin and judge it; `name` in the catalogue, if not its kind."""
-    silent_s = longest_silence(experiment.flight.jet_period_s)
+    silent_s = vehicle_silent_s(experiment.table, experiment.flight)
     rig, notes, row = make_twin(experiment), Notes(silent_s), name or what.kind
     ending = rig.fly(notes)
     if rig.red:

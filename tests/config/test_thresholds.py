@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from scipy.linalg import solve_discrete_are
 
 from testbed.config import ConfigError, find, load
@@ -21,10 +22,13 @@ from testbed.config.thresholds import (
     silence_s,
     steady,
     value_of,
+    vehicle_silent_s,
     words_in,
 )
 from testbed.core.table import Link
 from testbed.flight.estimator import EstimatorParams, predict_covariance
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import make_twin
 
 VALUES = dict.fromkeys(WORDS, 0.5) | {"frame": 0.01, "period": 0.1}
 
@@ -117,6 +121,29 @@ def test_a_healthy_link_is_hardly_ever_silent_for_so_long(loss):
 
 def test_a_link_that_loses_everything_has_some_bound():
     assert silence_s(Link(0.0, 0.0, 1.0, 1.0, 0.0, 0.0), 0.1) == pytest.approx(10.1)
+
+
+LOSSY = (  # the radio of the benchmark's `link_loss`
+    "table.link={delay_s=0.02,jitter_s=0.02,loss=0.2,burst_loss=1.0,burst_enter=0.03,"
+    "burst_leave=0.3}"
+)
+
+
+@pytest.mark.parametrize("period", [0.05, 0.2])
+def test_the_host_waits_for_a_vehicle_behind_a_lossy_radio(period):
+    """A fixed 1.2 s stopped three of four such flights, and none whose law flew on board."""
+    asked = [f"flight.jet_period_s={period}", "duration_s=60", "criteria={}"]
+    flights = [load(find("hold"), [LOSSY, *asked, f"seed={seed}"]) for seed in range(3)]
+    assert all(vehicle_silent_s(one.table, one.flight) > 10 * period for one in flights)
+    for one in flights:
+        assert make_twin(one).fly(NullObserver()).fault is None
+
+
+def test_the_host_waits_for_twelve_periods_behind_any_radio():
+    flight = load(find("hold"), ["flight.jet_period_s=0.4"])
+    perfect = replace(flight.table, link=Link(0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    assert vehicle_silent_s(perfect, flight.flight) == pytest.approx(4.8)
+    assert vehicle_silent_s(perfect, load(find("hold")).flight) == pytest.approx(1.2)
 
 
 def test_the_prediction_spreads_as_the_estimators_covariance():

@@ -10,13 +10,13 @@ from controllers.catalogue import UsersLaw
 from sim_twin.plant import advance
 from sim_twin.twin import Twin, exposures, observe
 from testbed.config import Experiment
+from testbed.config.thresholds import vehicle_silent_s
 from testbed.core.bundle import Bundle
 from testbed.core.code_address import CodeAddress
 from testbed.core.compiled import with_fixed_types
 from testbed.flight import chain
 from testbed.flight.barrier import WIDTH
 from testbed.flight.flown_span import FlownSpan
-from testbed.flight.loop import longest_silence
 from testbed.flight.reference_model import code_for
 from testbed.rig.fleet.exchange import deliver, law_tick, receive
 from testbed.rig.fleet.host import TwinHost
@@ -43,7 +43,12 @@ class Fleet:
     """The vehicles and laws of a flight on the twin in which nothing needs Python at every tick."""
 
     def __init__(
-        self, twin: Twin, nodes: list[TwinNode], hosts: list[TwinHost], period: float
+        self,
+        twin: Twin,
+        nodes: list[TwinNode],
+        hosts: list[TwinHost],
+        period: float,
+        silent_s: float,
     ) -> None:
         """Fly these together.
 
@@ -52,7 +57,9 @@ class Fleet:
             nodes: its vehicles.
             hosts: their laws.
             period: of a tick [s].
+            silent_s: see `loop.host_fault` [s].
         """
+        self._silent_s = silent_s
         self._twin, self._nodes, self._hosts, self._period = twin, nodes, hosts, period
         self._parts: tuple[Any, ...] = ()  # what `_ports` was made of
         self._ports: Bundle | None = None
@@ -129,7 +136,7 @@ class Fleet:
             if self._codes is None:
                 self._codes = codes_of(ports, nodes[0], laws[0])
             self._ports = Bundle(FleetPorts(
-                self._codes, Bundle(ports), self._period, longest_silence(self._period),
+                self._codes, Bundle(ports), self._period, self._silent_s,
                 *nodes[0], *laws[0],
                 np.array(nodes, np.int64), np.array(laws, np.int64),
             ))  # fmt: skip
@@ -186,4 +193,5 @@ def make_fleet(
         return None
     if vars(config)["DISABLE_JIT"]:
         return None
-    return Fleet(twin, nodes, laws, experiment.flight.jet_period_s)
+    silent_s = vehicle_silent_s(experiment.table, experiment.flight)
+    return Fleet(twin, nodes, laws, experiment.flight.jet_period_s, silent_s)

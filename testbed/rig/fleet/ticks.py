@@ -53,7 +53,7 @@ class FleetPorts(NamedTuple):
     codes: Codes
     twin: Bundle  # of TwinPorts
     period: float  # of a tick [s]
-    silent_s: float  # see loop.longest_silence
+    silent_s: float  # see loop.host_fault [s]
     ports: Bundle  # of the first vehicle, for its kind: exchange.VehiclePorts
     table: Bundle  # TickTable
     chain: Bundle  # see chain.see

@@ -9,6 +9,7 @@ import msgspec
 from msgspec.structs import replace
 
 from testbed.config import Experiment
+from testbed.config.thresholds import vehicle_silent_s
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
 from testbed.core.ports import Clock
@@ -150,7 +151,11 @@ class HostFlight:
                     self._live.flying(clock, hosts or far, hosts, supervisor, far=not hosts)
                 )
             stack.enter_context(realtime_priority(PRIORITY))
-            ending = fly(ticking, list(nodes), hosts, period, experiment.ticks, self, stopped=stops)
+            silent_s = vehicle_silent_s(experiment.table, experiment.flight)
+            ending = fly(
+                ticking, list(nodes), hosts, period, experiment.ticks, self,
+                silent_s=silent_s, stopped=stops,
+            )  # fmt: skip
         holding = holds(experiment, ending) and not stops()
         if holding:
             self._hold(stops)
