@@ -78,6 +78,10 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
         where = str(folder / "log.mcap")
         raise ConfigError(where, "", "the complete log of a run", str(error)) from None
     extra = beside_metrics(experiment, track)
-    outcome, reason = outcome_of(metrics)
+    outcome, reason = outcome_of(experiment, metrics)
     columns = columns_of(metrics, experiment, extra)
-    return within(FlownRun(k, outcome, reason, columns, metrics.criteria or {}), most, least)
+    run = FlownRun(
+        k, outcome, reason, columns, metrics.criteria or {}, seed=experiment.seed,
+        fault=metrics.fault_report, fault_t=metrics.fault_t,
+    )  # fmt: skip
+    return within(run, most, least)

@@ -15,7 +15,8 @@ from testbed.config import ConfigError, Experiment
 from testbed.config.error import did_you_mean
 from testbed.core.codes import FaultReport
 from testbed.metrics.fault_line import fault_line
-from testbed.metrics.run_metrics import TO_THE_START, Metrics, VehicleMetrics
+from testbed.metrics.run_metrics import Metrics, VehicleMetrics
+from testbed.report.verdict import NOTHING_MEASURED, unmeasured
 
 Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
 Number = float | int | None
@@ -85,19 +86,26 @@ class Kept(Struct, frozen=True):
 FLOWN = ("passed", "failed")  # outcomes of runs that reached their end
 
 
-def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
+def outcome_of(experiment: Experiment, metrics: Metrics) -> tuple[Outcome, str]:
     """The outcome of a flight, and the reason if it did not pass."""
     if metrics.fault:
         return "fault", metrics.fault
     if not metrics.completed:  # an operator ended it or prevented its start
         return "fault", "not flown to its end"
-    flown = metrics.vehicles.values()
     failed = [
-        f"{name} not reached" if any(getattr(one, name, 0.0) is None for one in flown) else name
+        f"{name}{_why_not(experiment, metrics, name)}"
         for name, met in (metrics.criteria or {}).items()
         if not met
     ]
     return ("failed", ", ".join(failed)) if failed else ("passed", "")
+
+
+def _why_not(experiment: Experiment, metrics: Metrics, criterion: str) -> str:
+    """Says that a criterion has no number; empty if it has one."""
+    if unmeasured(experiment, metrics, criterion):
+        return NOTHING_MEASURED
+    unreached = any(getattr(one, criterion, 0.0) is None for one in metrics.vehicles.values())
+    return " not reached" if unreached else ""
 
 
 def broken_bound(
@@ -187,8 +195,6 @@ def columns_of(
             name: beside.get(name) if name in BESIDE else getattr(one, name)
             for name in OF_A_VEHICLE
         }
-        if experiment.vehicles[vehicle].path is not None:
-            each[vehicle] |= dict.fromkeys(TO_THE_START)
     for name in OF_A_VEHICLE:
         values = [numbers[name] for numbers in each.values()]
         known = [value for value in values if value is not None]

@@ -44,7 +44,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> FlownRun:
         completed = ending.fault is None
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
-        (outcome, reason), criteria = outcome_of(metrics), metrics.criteria or {}
+        (outcome, reason), criteria = outcome_of(experiment, metrics), metrics.criteria or {}
         fault, fault_t = ending.fault, ending.found_t
     except ConfigError as error:
         outcome = "refused"

@@ -39,7 +39,6 @@ from testbed.report.page import (
     SCRIPT,
     ReportError,
     figure,
-    known,
     page,
     rounded,
     together_of,
@@ -119,7 +118,7 @@ def worst(run: ComparedRun, key: str) -> float | None:
         return getattr(together_of(run.experiment, run.metrics), TOGETHER[key], None)
     if key in OF_A_GOAL and has_formation(run.experiment.controller):
         return None
-    values = [known(run.experiment, run.metrics, name, key) for name in run.metrics.vehicles]
+    values = [getattr(one, key) for one in run.metrics.vehicles.values()]
     there = [v for v in values if v is not None]
     if len(there) < len(values) or not there:
         return None

@@ -18,7 +18,7 @@ from testbed.metrics.run_metrics import (
     Metrics,
     weakest_jet,
 )
-from testbed.report.page import known, rounded, rows_of
+from testbed.report.page import rounded, rows_of
 from testbed.report.verdict import (
     NOTHING_MEASURED,
     NOTHING_TO_JUDGE,
@@ -72,10 +72,10 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     for heading, key, scale, digits, criterion in rows_of(experiment):
         cells = [
             _cell(
-                known(experiment, metrics, n, key), scale, digits,
+                getattr(one, key), scale, digits,
                 is_missed=missed(experiment, metrics, n, key, criterion),
             )
-            for n in metrics.vehicles
+            for n, one in metrics.vehicles.items()
         ]  # fmt: skip
         grid.add_row(escape(heading), *cells, _limit(experiment, criterion, scale))
     if metrics.jets:

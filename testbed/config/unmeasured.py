@@ -1,4 +1,4 @@
-"""Warns about criteria that a run cannot meet, because it never measures their number."""
+"""Which numbers a run does not measure, and warnings about criteria that need them."""
 
 from controllers.graph import formation_kind
 from testbed.config.experiment import Experiment
@@ -7,11 +7,11 @@ from testbed.metrics.formation import has_formation
 from testbed.metrics.run_metrics import HOLD_S, ROUNDING_S
 
 OF_A_RESTING_GOAL = ("settle_s", "hold_rms_m")
-OF_AN_OWN_GOAL = ("final_error_m", *OF_A_RESTING_GOAL)  # a law of a formation ignores its position
+OF_AN_OWN_GOAL = ("final_error_m", *OF_A_RESTING_GOAL)  # laws of formations ignore goals' places
 
 
 def without_number(experiment: Experiment, name: str) -> tuple[str, ...]:
-    """Criteria that have no number for this vehicle: it has no goal of its own, or a moving one."""
+    """Metrics and criteria without a number for this vehicle: its goal moves, or it has none."""
     if has_formation(experiment.controller):
         return OF_AN_OWN_GOAL
     return () if experiment.vehicles[name].path is None else OF_A_RESTING_GOAL

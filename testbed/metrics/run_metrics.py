@@ -63,14 +63,10 @@ class Commands(Struct, frozen=True):
     rejected: int  # of another session or version, garbled, or refused by a board
 
 
-# these refer to a goal's position at the start; they have no meaning for a moving goal
-TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")
-
-
 class VehicleMetrics(Struct, frozen=True):
-    """One vehicle's flight; null where a number does not apply."""
+    """One vehicle's flight; null where a number does not apply, see config/unmeasured.py."""
 
-    final_error_m: float | None
+    final_error_m: float | None  # true position at the end against the goal's
     settle_s: float | None  # time after which the position stays within 0.05 m of the goal
     track_rms_m: float | None  # true position against the reference; null in wrench mode
     hold_rms_m: float | None  # true position against the goal in the last 30 s of a whole run
@@ -304,7 +300,7 @@ def vehicle_metrics(
     Args:
         track: true states of all vehicles.
         vehicle: its number in the track.
-        goal: x, y, theta [m, rad].
+        goal: x, y, theta at the end [m, rad].
         aimed: its commands.
         spent: its consumption.
         distances: those of `obstacle_distances` [m].

@@ -12,7 +12,7 @@ from testbed.config.experiment import Experiment
 from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import has_formation
-from testbed.metrics.run_metrics import SETTLED_M, TO_THE_START, FormationMetrics, Metrics
+from testbed.metrics.run_metrics import SETTLED_M, FormationMetrics, Metrics
 from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened, lines
 from testbed.report.fault_story import EventLine
@@ -157,17 +157,9 @@ def together_of(scenario: Experiment, metrics: Metrics) -> FormationMetrics | No
     return metrics.formation
 
 
-def known(scenario: Experiment, metrics: Metrics, name: str, key: str) -> float | None:
-    """A vehicle's metric; None where it refers to the start of a moving goal."""
-    if key in TO_THE_START and scenario.vehicles[name].path is not None:
-        return None
-    found: float | None = getattr(metrics.vehicles[name], key)
-    return found
-
-
 def _tiles(scenario: Experiment, metrics: Metrics) -> str:
     def worst(key: str) -> float | None:
-        values = [known(scenario, metrics, name, key) for name in metrics.vehicles]
+        values = [getattr(one, key) for one in metrics.vehicles.values()]
         return max((v for v in values if v is not None), default=None)
 
     near = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
@@ -343,8 +335,8 @@ def _results(scenario: Experiment, metrics: Metrics) -> str:
     for heading, key, scale, digits, criterion in rows_of(scenario):
         cells = "".join(
             f"<td{MISSED * missed(scenario, metrics, name, key, criterion)}>"
-            f"{_number(known(scenario, metrics, name, key), scale, digits)}</td>"
-            for name in metrics.vehicles
+            f"{_number(getattr(one, key), scale, digits)}</td>"
+            for name, one in metrics.vehicles.items()
         )
         rows.append(f"<tr><td>{heading}</td>{cells}</tr>")
     return (

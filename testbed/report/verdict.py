@@ -113,8 +113,6 @@ def missed(scenario: Experiment, metrics: Metrics, name: str, key: str, criterio
     """Whether this vehicle's metric violates a criterion."""
     if (metrics.criteria or {}).get(criterion) is not False:
         return False
-    if criterion in without_number(scenario, name):
-        return True
     value = getattr(metrics.vehicles[name], key)
     if criterion == "clear_of_obstacles":
         # with several radii, only a distance below the smallest certainly violates one

@@ -4,14 +4,19 @@ from collections.abc import Mapping
 
 from msgspec.structs import replace
 
+from testbed.config.experiment import Experiment
 from testbed.config.guarantee import warnings_of
 from testbed.config.unmeasured import without_number
 from testbed.core.codes import FaultId
 from testbed.flight.loop import Ending
 from testbed.metrics.formation import formation_metrics
 from testbed.metrics.run_metrics import (
+    Aim,
+    Consumption,
     Metrics,
     ReferenceLog,
+    Track,
+    VehicleMetrics,
     judge,
     judge_formation,
     obstacle_distances,
@@ -19,6 +24,7 @@ from testbed.metrics.run_metrics import (
     vehicle_metrics,
 )
 from testbed.metrics.touching import nearest_obstacles, nearest_vehicles
+from testbed.report.goal_error import goal_at
 from testbed.rig.chain import formation_context
 from testbed.rig.interface import Rig
 
@@ -44,13 +50,13 @@ def measure(
     obstacles, touches = experiment.obstacles, rig.touches
     radii = {name: setup.model.radius for name, setup in experiment.vehicles.items()}
     vehicles, clear = {}, True
-    for k, (name, setup) in enumerate(experiment.vehicles.items()):
+    for k, name in enumerate(experiment.vehicles):
         sampled = obstacle_distances(track, k, obstacles)
         distances = nearest_obstacles(sampled, touches, name, radii[name], obstacles)
-        vehicles[name] = vehicle_metrics(
+        vehicles[name] = measure_vehicle(
+            experiment,
+            name,
             track,
-            k,
-            setup.goal,
             references[name].aim(),
             rig.spent(name),
             distances,
@@ -63,10 +69,6 @@ def measure(
     context = formation_context(experiment)
     together = formation_metrics(experiment.controller, context, track, touches)
     wanted = experiment.criteria.formation
-    applying = {
-        name: replace(one, **dict.fromkeys(without_number(experiment, name)))
-        for name, one in vehicles.items()
-    }
     return Metrics(
         experiment=experiment.name,
         rig=rig.name,
@@ -80,7 +82,7 @@ def measure(
         fault=ending.fault.words if ending.fault else None,
         fault_report=ending.fault,
         fault_t=ending.found_t,
-        criteria=judge(experiment.criteria, applying, len(touches), clear)
+        criteria=judge(experiment.criteria, vehicles, len(touches), clear)
         | (judge_formation(wanted, together) if wanted else {})
         if is_judged
         else None,
@@ -92,3 +94,28 @@ def measure(
         red=rig.red,
         touches=touches,
     )
+
+
+def measure_vehicle(
+    experiment: Experiment,
+    name: str,
+    track: Track,
+    aimed: Aim,
+    spent: Consumption,
+    distances: Mapping[str, float],
+    completed_s: float,
+) -> VehicleMetrics:
+    """Metrics of one vehicle; None for those that do not apply to its goal.
+
+    Args:
+        experiment: that was flown.
+        name: of the vehicle.
+        track, aimed, spent, distances, completed_s: see `vehicle_metrics`.
+    """
+    setup, k = experiment.vehicles[name], list(experiment.vehicles).index(name)
+    goal = setup.goal
+    if len(track.t):
+        x, y = goal_at(setup, track.t[-1:])[0].tolist()
+        goal = (x, y, goal[2])
+    found = vehicle_metrics(track, k, goal, aimed, spent, distances, completed_s)
+    return replace(found, **dict.fromkeys(without_number(experiment, name)))

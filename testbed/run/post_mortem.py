@@ -24,11 +24,11 @@ from testbed.metrics.run_metrics import (
     VehicleMetrics,
     obstacle_distances,
     smallest_separation,
-    vehicle_metrics,
 )
 from testbed.report.page import read_metrics
 from testbed.report.verdict import UNCOUNTED
 from testbed.rig.chain import formation_context
+from testbed.run.judge import measure_vehicle
 
 LAST_TICKS = 1.5  # the log of a completed flight ends so many before the flight, at most
 
@@ -68,19 +68,19 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         fault_report=FaultReport(FaultId.PROCESS_ENDED, why),
         criteria=None,
         vehicles={
-            name: _vehicle(track, k, experiment, name, aims[name].aim(), completed_s)
-            for k, name in enumerate(experiment.vehicles)
+            name: _vehicle(experiment, name, track, aims[name].aim(), completed_s)
+            for name in experiment.vehicles
         },
         formation=formation_metrics(experiment.controller, formation_context(experiment), track),
     )
 
 
 def _vehicle(
-    track: Track, k: int, experiment: Experiment, name: str, aimed: Aim, completed_s: float
+    experiment: Experiment, name: str, track: Track, aimed: Aim, completed_s: float
 ) -> VehicleMetrics:
-    goal, unknown = experiment.vehicles[name].goal, Consumption(0.0, 0.0, None)
+    unknown, k = Consumption(0.0, 0.0, None), list(experiment.vehicles).index(name)
     distances = obstacle_distances(track, k, experiment.obstacles)
-    found = vehicle_metrics(track, k, goal, aimed, unknown, distances, completed_s)
+    found = measure_vehicle(experiment, name, track, aimed, unknown, distances, completed_s)
     return replace(found, impulse_ns=None, gas_g=None)
 
 
