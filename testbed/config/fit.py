@@ -36,7 +36,7 @@ BRISK = 0.03  # acceleration a law should have: 1.4 m in 14 s [m/s^2] [assumptio
 SHARE, LEAST_SHARE = 0.6, 0.3  # of the force for the law; the rest is for feedback [assumption]
 TURNING = 0.1  # of alpha for a turn: torque is served before force [assumption]
 PLANS = 8.0  # jet periods for which references are planned and live, as at 0.1 s [assumption]
-LIVES = 3.5  # the same of a demand, which pushes for so long [assumption]
+LIVES = 3.5  # jet periods for which a demand is valid and its force goes on [assumption]
 FASTEST_TURN = 0.1  # half a turn in 13 s [rad/s^2] [assumption]
 LOOP, HEADING_LOOP = 1 / 8, 1 / 4  # bandwidth times T: 14 and 29 degrees of phase
 WIDEST, WIDEST_HEADING = 0.8, 1.5  # [rad/s]
@@ -173,7 +173,7 @@ def _guidance(experiment: Experiment) -> Iterator[Default]:
 
 
 def _life(experiment: Experiment) -> Iterator[Default]:
-    """A setpoint outlives bursts of lost ones at any period: a burst is so many, not so long."""
+    """A burst loses a number of messages, not a time, so a setpoint lives for jet periods."""
     period, usual = experiment.flight.jet_period_s, GuidanceParams().setpoint_life_s
     ahead = experiment.guidance.preview_s
     life, why = PLANS * period - ahead, f", less the {ahead:g} s planned ahead"

@@ -105,7 +105,7 @@ class Recorder:
             *(str(path), str(warn_below), str(end_below)),
         ]
         self._span, self._tick = span_ns, tick_ns
-        self._begins: int | None = None  # time of the chunk's first tick [ns]
+        self._begins: int | None = None  # from where the chunk's span counts [ns]
         self._met = False  # the writer has created the file
         self._unread = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line

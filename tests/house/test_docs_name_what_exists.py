@@ -248,3 +248,22 @@ def test_extras_that_a_page_installs_are_declared(page):
 )
 def test_what_does_not_exist_is_found(quote, found):
     assert list(missing([quote], ROOT / "README.md")) == found
+
+
+def too_wide(text: str) -> list[str]:
+    """Lines of prose with more than 120 characters; tables and code may be wider."""
+    prose = FENCED.sub("", text)
+    return [line for line in prose.splitlines() if len(line) > 120 and line[0] != "|"]
+
+
+def test_prose_is_at_most_120_characters_wide():
+    decisions = sorted((ROOT / "docs/decisions").glob("*.md"))
+    made = ROOT / "docs/messages.md"  # from the definitions of the records
+    pages = [ROOT / "CHANGELOG.md", *PAGES, *decisions]
+    wide = {page.name: too_wide(page.read_text()) for page in pages if page != made}
+    assert {name: lines for name, lines in wide.items() if lines} == {}
+
+
+def test_a_wide_line_is_found():
+    wide = "a word " * 20
+    assert too_wide(f"short\n{wide}\n| {wide} |\n```\n{wide}\n```\n") == [wide]
