@@ -129,7 +129,7 @@ class Found(NamedTuple):
     words: str
 
 
-def prepared(name, number, seed, layout):
+def prepared(name, number, seed, layout, changes=()):
     """The experiment of a flight, with its fault; `layout` of another lab's jets, or ""."""
     fault = FAULTS[name]
     rng = np.random.default_rng([seed, list(FAULTS).index(name), number])
@@ -141,7 +141,7 @@ def prepared(name, number, seed, layout):
     if layout:
         overrides = [*overrides, *lab(layout, seed, number)]
     lasts = fault.lasts_s + at_s
-    overrides = [*overrides, f"seed={1000 + number}", f"duration_s={lasts}"]
+    overrides = [*overrides, *changes, f"seed={1000 + number}", f"duration_s={lasts}"]
     experiment = load(find(shipped), [*overrides, FIXED] if fault.watched else overrides)
     model = experiment.vehicles["sat1"].model
     jet = int(1 + (jet - 1) % len(model.jets))
@@ -151,9 +151,9 @@ def prepared(name, number, seed, layout):
     return replace(experiment, inject=[what])
 
 
-def fly(name, number, seed, layout):
+def fly(name, number, seed, layout, changes=()):
     """Fly a case and judge it."""
-    fault, experiment = FAULTS[name], prepared(name, number, seed, layout)
+    fault, experiment = FAULTS[name], prepared(name, number, seed, layout, changes)
     what = experiment.inject[0]
     rig, notes = make_twin(experiment), Notes()
     ending = rig.fly(notes)
@@ -193,10 +193,12 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--labs", choices=LAYOUTS, default="", help="layout of the jets")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="changes")
     options = parser.parse_args()
     wanted = options.only.split(",")
     names = [n for n, f in FAULTS.items() if any(w in n or w == f.kind for w in wanted)]
-    cases = [(name, k, options.seed, options.labs) for name in names for k in range(options.each)]
+    always = options.seed, options.labs, options.changes
+    cases = [(name, k, *always) for name in names for k in range(options.each)]
     if options.jobs == 1:
         found = [fly(*case) for case in cases]
     else:
