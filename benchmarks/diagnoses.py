@@ -1,7 +1,7 @@
 """Are the faults of a lab noticed, and are they named right? On the twin.
 
     python benchmarks/diagnoses.py [--each 40] [--only leak_valve,hose] [--seed 0] [--jobs 1]
-                                   [--labs ring]
+                                   [--labs ring] [--set KEY=VALUE]
 
 Flies every fault of `FAULTS` in flights of one vehicle that moves a metre and turns a radian, and
 of zhang2023's three vehicles; with `--labs` in flights of one vehicle of another lab (labs.py).
