@@ -14,6 +14,7 @@ from testbed.flight.hypotheses import (
     MASS,
     PULL,
     ROTATED,
+    SPUN,
     THRUST,
     TURNED,
     WORTH,
@@ -34,6 +35,7 @@ class Flight:
         self.p = known_of(vehicle, 0.1, EstimatorParams(), table)
         self.memory, _ = make_memory(len(vehicle.jets), 1, len(self.p.shown), 1)
         self.m, self.far = self.memory.fixed[0].permanent, self.memory.fixed[0].jet_faults.far
+        self.jets = len(vehicle.jets)
         self.rng, self.causes = np.random.default_rng(seed), 2 * len(vehicle.jets) + SHARED
 
     def second(self, column=None, size=0.0, jump=(0.0, 0.0, 0.0)):
@@ -43,6 +45,8 @@ class Flight:
         sums[:] = 0.0
         sums[:2, first + ALL], sums[:2, first + ROTATED] = (x, y), (-y, x)
         sums[:2, first + DELAYED] = PUSH * self.rng.standard_normal(2)
+        # a torque of 1 rad/s^2, after the jets and the centre of mass
+        sums[2, first + SPUN] = sums[2, first - SHARED - self.jets + 2] = 1.0
         explained = size * sums[:, first + column] if column is not None else np.zeros(3)
         sums[:, -1] = explained + NOISE * self.rng.standard_normal(3) + jump
         permanent.refute(self.m, self.far)
@@ -59,6 +63,13 @@ class Flight:
 @pytest.fixture
 def flight(vehicle, table):
     return Flight(vehicle, table)
+
+
+@pytest.mark.parametrize("torque", [0.0, 0.01, -0.03])  # [rad/s^2]; its tolerance is 0.02
+def test_a_steady_torque_hides_no_heading(flight, torque):
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0), jump=(0.0, 0.0, torque))
+    assert flight.sigmas(TURNED) > 6.0
 
 
 def test_a_heading_that_is_off_is_found_with_its_size(flight):
