@@ -3,6 +3,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from board_limits import LIMITS
 
 from firmware_interface.board import settled
 from firmware_interface.compiler import CompilerError, compiler, cross_compiler
@@ -12,9 +13,7 @@ from firmware_interface.messages import (
     Ack,
     Arm,
     Bearing,
-    BearingPolicy,
     Cmd,
-    Config,
     Disarm,
     Hello,
     HelloAck,
@@ -56,27 +55,6 @@ def a_cross_compiler():
 def another_build() -> Path | None:
     """Of the same firmware: measured for coverage, or with a fault in it."""
     return Path(os.environ["ABT_LIBRARY"]) if "ABT_LIBRARY" in os.environ else None
-
-
-# Small odd numbers, so that no two limits can be mistaken for each other.
-LIMITS = Config(
-    valve_count=8,
-    opposing=(1 << 5, 1 << 4, 1 << 7, 1 << 6, 1 << 1, 1 << 0, 1 << 3, 1 << 2),
-    jets=0x5EA15EA1,
-    bearing_after_trip=BearingPolicy.KEEP,
-    land_after_us=0,
-    min_on_us=10_007,
-    min_off_us=9_001,
-    dead_us=2_003,
-    max_on_us=400_009,
-    duty_window_us=3_200_000,
-    duty_budget_us=1_500_011,
-    max_ttl_us=900_001,
-    watchdog_us=150_001,
-    undervoltage_mv=18_000,
-    undervoltage_us=1_999,
-    status_period_us=50_000,
-)
 
 
 @pytest.fixture(scope="session")

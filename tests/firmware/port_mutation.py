@@ -19,7 +19,7 @@ from collections import Counter
 from functools import cache
 from pathlib import Path
 
-from conftest import LIMITS
+from board_limits import LIMITS
 from mutants import Mutant, places
 from mutants import line_with as line_of
 from port_check import wrong_with
