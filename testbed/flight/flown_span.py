@@ -145,6 +145,8 @@ class FlownSpan(NamedTuple):
 
     def part(self, begin: int, end: int) -> "FlownSpan":
         """The ticks from place `begin` to `end`."""
+        if begin == 0 and end == len(self.times):
+            return self
         return FlownSpan(
             self.times[begin:end],
             {name: rows.part(begin, end) for name, rows in self.vehicles.items()},

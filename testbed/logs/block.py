@@ -15,6 +15,7 @@ from testbed.logs.tick_row import Made, RowWriter
 LARGEST = 10 * TICKS  # messages; about a table of each of ten topics
 
 Key = tuple[str, int]  # topic, and which table
+TRUTH: Key = ("/truth", 0)
 Runs = dict[Key, Any]  # FlownRows of vehicles, FlownHostRows of laws
 Later = Callable[[], Mapping[float, Struct]]  # gives messages, by time [s]
 
@@ -116,17 +117,19 @@ class Block:
             topic: of the messages that `later` gives.
             later: gives messages after some of the ticks, by time [s]; called when rows are made.
         """
-        before = {t: made for t in span.times if (made := self._writer.new_names(t))}
+        before = self._writer.new_names_in(span.times)
         self._waiting.append(_Span(span, before, topic, later))
         self._number += len(span.times) * (1 + len(span.vehicles) + len(span.hosts))
 
     def take(self) -> list[Piece]:
         """All messages so far, in order; rows of one table are made together."""
         waiting, self._waiting, self._number = self._waiting, [], 0
-        between = [self._between(one) for one in waiting if isinstance(one, _Span)][::-1]
+        spans = [one for one in waiting if isinstance(one, _Span)]
+        between = [self._between(one) for one in spans][::-1]
+        runs = [one.runs() for one in waiting]
         joined: Runs = {}
-        for one in waiting:
-            for key, rows in one.runs().items():
+        for some in runs:
+            for key, rows in some.items():
                 if key in joined:
                     joined[key].extend(rows)
                 else:
@@ -135,10 +138,15 @@ class Block:
             key: _Queue(TableRows(self._writer, key[0]).messages(rows))
             for key, rows in joined.items()
         }
+        if spans:
+            truth = TableRows(self._writer, "/truth").truth([one.span for one in spans])
+            made[TRUTH] = _Queue([truth])
         taken: list[Piece] = []
-        for one in waiting:
+        for one, some in zip(waiting, runs, strict=True):
             if isinstance(one, _Span):
-                taken.append(Columns(one.span.times, self._columns(one, made), between.pop()))
+                times, keys = one.span.times, [*some, TRUTH]
+                columns = [Column(k[0], kind_of(k[0]), made[k].take(len(times))) for k in keys]
+                taken.append(Columns(times, columns, between.pop()))
             elif isinstance(one.message, Made):
                 taken.append((one.t, one.message))
             else:
@@ -156,13 +164,9 @@ class Block:
                 found += [(k + 1, t, made) for made in self._writer.rows(one.topic, t, more[t])]
         return found
 
-    def _columns(self, one: _Span, made: Mapping[Key, _Queue]) -> list[Column]:
-        n = len(one.span.times)
-        columns = [Column(key[0], kind_of(key[0]), made[key].take(n)) for key in one.runs()]
-        truth = TableRows(self._writer, "/truth").truth(one.span)
-        return [*columns, Column("/truth", "Truth", [truth])]
-
 
 def kind_of(topic: str) -> str:
-    """Kind of the rows of a vehicle's topic."""
+    """Kind of the rows of a topic."""
+    if topic == TRUTH[0]:
+        return "Truth"
     return "HostTick" if topic.endswith("/host") else "Tick"

@@ -30,6 +30,7 @@ import select
 import struct
 import subprocess
 import sys
+from bisect import bisect_left
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -182,7 +183,8 @@ class Recorder:
 
     def due_in(self, times: Sequence[float]) -> int:
         """How many of the ticks at these times come until the next `mark`."""
-        return next((k for k, t in enumerate(times, 1) if self._ends(round(t * 1e9))), len(times))
+        last = bisect_left(times, True, key=lambda t: self._ends(round(t * 1e9)))
+        return min(1 + last, len(times))
 
     def _ends(self, now: int) -> bool:
         """Whether the chunk ends with the tick at this time [ns]; the first tick has its own."""

@@ -78,8 +78,8 @@ class Columns:
 
     def __init__(self, message: str, to: Iterable[str], of: Sequence[int]) -> None:
         fixed = DTYPES[message]
-        self.to = np.array([1 + place(fixed, one) for one in to])  # after the header's word
-        self.of = np.array(of)
+        self.to = _index([1 + place(fixed, one) for one in to])  # after the header's word
+        self.of = _index(of)
 
     def copy(self, words: Array, records: Array, where: NDArray[np.bool_] | None = None) -> None:
         """Copy these numbers; where not `where`, they are unknown."""
@@ -87,9 +87,15 @@ class Columns:
             words[:, self.to] = np.nan
             return
         values = records[:, self.of]
-        if where is not None:
-            values[~where] = np.nan
+        if where is not None and not where.all():
+            values = np.where(where[:, None], values, np.nan)
         words[:, self.to] = values
+
+
+def _index(places: Sequence[int]) -> slice | NDArray[np.int64]:
+    """An index of these places; a slice, which is faster, if they follow one another."""
+    first, after = places[0], places[0] + len(places)
+    return slice(first, after) if [*places] == [*range(first, after)] else np.array(places)
 
 
 _SAME, _STATE, _REFERENCE, _DEMANDS, _ASKED, _UNTIL = (
@@ -110,15 +116,16 @@ class TableRows:
     def __init__(self, writer: RowWriter, topic: str) -> None:
         self._writer, self._topic = writer, topic
 
-    def truth(self, span: FlownSpan) -> Stack:
-        """The messages of the true states at ticks."""
-        n, vehicles, _ = span.truth.shape
+    def truth(self, spans: Sequence[FlownSpan]) -> Stack:
+        """The messages of the true states at the ticks of these spans."""
+        states = np.concatenate([span.truth for span in spans])
+        n, vehicles, _ = states.shape
         packer, names = self._writer.packer(self._topic, "Truth"), self._writer.names
         packer.grow([max(packer.most[0], vehicles)])
-        names.vehicles += [one for one in span.vehicles if one not in names.vehicles]
+        names.vehicles += [one for one in spans[0].vehicles if one not in names.vehicles]
         rows = Layout("Truth", {"vehicles": packer.most[0]}).rows(n)
-        rows.fixed["t"][:n] = span.times
-        _fill(rows, "vehicles", span.truth, np.full(n, vehicles))
+        rows.fixed["t"][:n] = [t for span in spans for t in span.times]
+        _fill(rows, "vehicles", states, np.full(n, vehicles))
         return _stack(rows, n)
 
     def messages(self, ticks: FlownRows | FlownHostRows) -> list[Stack]:
@@ -128,8 +135,11 @@ class TableRows:
         if isinstance(ticks, FlownHostRows):
             name, make = "HostTick", self._host
         packer, begin, made = self._writer.packer(self._topic, name), 0, []
-        so_far = np.maximum.accumulate(np.vstack((packer.most, longest)))[1:]
-        for end in [*(1 + np.flatnonzero(np.diff(so_far, axis=0).any(axis=1))), len(ticks)]:
+        so_far, ends = np.array([packer.most]), [len(ticks)]
+        if (longest.max(axis=0) > packer.most).any():
+            so_far = np.maximum.accumulate(np.vstack((packer.most, longest)))[1:]
+            ends = [*(1 + np.flatnonzero(np.diff(so_far, axis=0).any(axis=1))), len(ticks)]
+        for end in ends:
             packer.grow(so_far[begin].tolist())  # a capacity grows with the first that needs it
             some = ticks.part(begin, int(end))
             names = [one.name for one in MESSAGES[name].sequences]
@@ -195,10 +205,12 @@ class TableRows:
         period = ticks.agent.params.gains.period
         outputs["valid_until"] = given["t"] + period
         outputs["message_t"] = np.nan
-        latched = (done["inhibit"] == done["gate_fault"]) & (done["inhibit"] > 0)
-        length = np.where(latched, _WORDS[done["inhibit"]], 0)
-        outputs["inhibit_values"] = np.where(np.arange(3) < length[:, None], values, np.nan)
-        outputs["inhibit"], outputs["inhibit_length"] = done["inhibit"], length
+        outputs["inhibit"], outputs["inhibit_values"] = done["inhibit"], np.nan
+        if done["inhibit"].any():
+            latched = (done["inhibit"] == done["gate_fault"]) & (done["inhibit"] > 0)
+            length = np.where(latched, _WORDS[done["inhibit"]], 0)
+            outputs["inhibit_values"] = np.where(np.arange(3) < length[:, None], values, np.nan)
+            outputs["inhibit_length"] = length
         outputs["seq"], outputs["response"] = done["seq"], done["response"]
         outputs["state_known"], outputs["air_off"] = known, done["air_off"]
         active = np.where(demanded, Active.DEMAND, Active.REFERENCE)
@@ -238,7 +250,8 @@ def _fill(rows: Rows, name: str, values: Array, counts: NDArray[np.int64]) -> No
     shape, strides = (n, most, width), (rows.memory.shape[1], part.dtype.itemsize, WORD)
     out: Array = np.ndarray(shape, np.float64, rows.memory, part.offset + COUNT.itemsize, strides)
     out[...] = values[:, :most]
-    out[_unused(most, counts)] = 0.0  # few: to copy only the used ones takes six times as long
+    if counts.min() < most:
+        out[_unused(most, counts)] = 0.0  # few: to copy only the used ones takes six times as long
 
 
 def _unused(most: int, counts: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -5,7 +5,8 @@ before the first row that has its code; a name is a number in `Names`, written w
 """
 
 import struct
-from collections.abc import Callable, Iterable
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
@@ -107,6 +108,15 @@ class RowWriter:
         self._said, self._again = sizes, t + REPEAT_S
         known = {"t": t, **msgspec.structs.asdict(self.names)}
         return [Made("/names", "Names", cdr.encode("Names", known))]
+
+    def new_names_in(self, times: Sequence[float]) -> dict[float, list[Made]]:
+        """`new_names` of ticks at these times, in order [s]; only where there are some."""
+        found, k = {}, 0
+        while k < len(times):
+            if made := self.new_names(times[k]):
+                found[times[k]] = made
+            k = bisect_left(times, self._again, k + 1)
+        return found
 
     def packer(self, topic: str, name: str) -> Packer:
         """Packs the messages of a topic; it knows their capacities."""

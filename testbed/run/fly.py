@@ -98,11 +98,11 @@ class FlightLog:
         self._screen.ticks(span)
         for name, rows in span.vehicles.items():
             self._references[name].note_rows(rows)
-        while span.times:
-            n = self._recorder.due_in(span.times)
-            part, span = span.part(0, n), span.part(n, len(span.times))
+        begin, later = 0, self._formation.found
+        while begin < len(span.times):
+            end = begin + self._recorder.due_in(span.times[begin:])
+            part, begin = span.part(begin, end), end
             self._formation.note(part.times, part.truth)
-            later = self._formation.found
             self._write(partial(self._recorder.write_span, part, "/formation", later))
             self._mark(part.times[-1])
         self.reports()
@@ -148,9 +148,8 @@ class FlightLog:
         heartbeat().beat()
         truth = dict(self._rig.truth())
         self._record("/truth", t, Truth(t, {name: Motion(*x) for name, x in truth.items()}))
-        self._formation.note([t], np.array([*truth.values()]).reshape(1, -1, 6))
-        if (elements := self._formation.found().get(t)) is not None:
-            self._record("/formation", t, elements)
+        if self._formation.note([t], np.array([*truth.values()]).reshape(1, -1, 6)):
+            self._record("/formation", t, self._formation.found()[t])
         self.reports()
         if (loop := self._rig.loop) is not None:
             self._record("/loop", t, Loop(t, *loop))

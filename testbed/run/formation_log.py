@@ -1,5 +1,6 @@
 """The five elements of the formation once a second, for the log."""
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,20 +22,22 @@ class FormationLog:
         self._states: list[Array] = []
         self._found: dict[float, Characterisation] = {}
 
-    def note(self, times: Sequence[float], states: Array) -> None:
-        """Pick some of these times.
+    def note(self, times: Sequence[float], states: Array) -> bool:
+        """Pick some of these times; whether there are any.
 
         Args:
             times: n of them [s].
             states: true ones of the vehicles at these times, (n, v, 6).
         """
         if states.shape[1] < 2:
-            return
-        for t, x in zip(times, states, strict=True):
-            if t >= self._next:
-                self._next = t + PERIOD_S - 1e-6  # ticks are sums of periods
-                self._times.append(t)
-                self._states.append(x)
+            return False
+        before, k = len(self._times), bisect_left(times, self._next)
+        while k < len(times):
+            self._next = times[k] + PERIOD_S - 1e-6  # ticks are sums of periods
+            self._times.append(times[k])
+            self._states.append(states[k])
+            k = bisect_left(times, self._next, k)
+        return len(self._times) > before
 
     def found(self) -> Mapping[float, Characterisation]:
         """The elements at all times picked so far, by time [s]."""

@@ -36,7 +36,7 @@ from testbed.rig.fleet.ticks import (
     fly_ticks,
 )
 
-AHEAD = 50  # ticks in one call, at most: an operator's stop waits for its end
+LEAST, MOST_TICKS, VEHICLE_TICKS = 25, 100, 300  # in one call: an operator's stop waits for its end
 
 
 class Fleet:
@@ -66,12 +66,14 @@ class Fleet:
         self._codes: Codes | None = None  # for bundles of these kinds
         self._kinds: tuple[Any, ...] = ()
         self._fly_ticks = with_fixed_types(fly_ticks)
-        n, frames = len(nodes), 2 + int(AHEAD * (1.0 + period * twin.rate))
+        n = len(nodes)
+        self._ahead = ahead = max(LEAST, min(MOST_TICKS, VEHICLE_TICKS // n))
+        frames = 2 + int(ahead * (1.0 + period * twin.rate))
         self._out = SpanBuffers(
             np.zeros(PROGRESS, np.int64), np.zeros(1), np.zeros(n, np.int64),
             np.zeros(n, np.int64), np.empty(frames), np.empty((frames, n, 6)),
-            np.empty((AHEAD, n, 6)), np.zeros((n, 6)), np.zeros(n, np.int64), np.zeros(n),
-            np.empty((AHEAD, n, 3)), np.empty((AHEAD, n, 5)),
+            np.empty((ahead, n, 6)), np.zeros((n, 6)), np.zeros(n, np.int64), np.zeros(n),
+            np.empty((ahead, n, 3)), np.empty((ahead, n, 5)),
         )  # fmt: skip
         self._flown = Bundle(self._out)
 
@@ -82,7 +84,7 @@ class Fleet:
         """
         if not self._twin.plant.valves_healthy:
             return None
-        times = [n * self._period for n in range(k, min(k + AHEAD, last))]
+        times = [n * self._period for n in range(k, min(k + self._ahead, last))]
         if (free := min(node.rows_free() for node in self._nodes)) == 0:
             return None
         pairs = zip(self._nodes, self._hosts, strict=True)
@@ -182,7 +184,7 @@ def make_fleet(
     """The fleet of a flight; None: it must be flown tick by tick.
 
     That is so with injected faults, forks, laws on board, a radio of limited range and reference
-    bodies, and with a user's law, which may hang: a stop must not wait for 50 of its ticks. It is
+    bodies, and with a user's law, which may hang: a stop must not wait for many of its ticks. It is
     also so without the compiler (NUMBA_DISABLE_JIT).
     """
     nodes = [one for one in vehicles if isinstance(one, TwinNode)]
