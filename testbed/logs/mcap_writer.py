@@ -24,7 +24,19 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.frames import FULL, READY, Epoch, Frame, Mark, Messages, One, Table, Topic
+from testbed.logs.frames import (
+    BESIDE,
+    FULL,
+    READY,
+    Epoch,
+    Frame,
+    Mark,
+    Messages,
+    One,
+    Table,
+    Topic,
+    joined,
+)
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
@@ -91,15 +103,20 @@ def read_chunks(descriptor: int) -> Iterator[bytes]:
 def frames(pieces: Iterator[bytes]) -> Iterator[Frame]:
     """Frames of a stream; a frame that is cut off at the end is dropped."""
     decode = msgspec.msgpack.Decoder(Frame).decode
-    held = bytearray()
+    held, memory = bytearray(), deque[bytes]()
     for piece in pieces:
         held += piece
         at = 0
         while len(held) - at >= 4:
-            end = at + 4 + int.from_bytes(held[at : at + 4], "little")
+            length = int.from_bytes(held[at : at + 4], "little")
+            end = at + 4 + (length & ~BESIDE)
             if end > len(held):
                 break
-            yield decode(bytes(held[at + 4 : end]))  # a copy: the frame keeps parts of it
+            data = bytes(held[at + 4 : end])  # a copy: the frame keeps parts of it
+            if length & BESIDE:
+                memory.append(data)
+            else:
+                yield joined(decode(data), memory)
             at = end
         del held[:at]
 

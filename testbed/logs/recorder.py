@@ -44,7 +44,20 @@ from testbed.core.error import TestbedError
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.logs.block import LARGEST, Block, Columns, Later, Piece, nothing
-from testbed.logs.frames import FULL, READY, Epoch, Frame, Mark, Messages, One, Table, Topic
+from testbed.logs.frames import (
+    BESIDE,
+    FULL,
+    READY,
+    Epoch,
+    Frame,
+    Mark,
+    Messages,
+    One,
+    Table,
+    Topic,
+    apart,
+)
+from testbed.logs.outbox import Outbox
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
@@ -100,7 +113,7 @@ class Recorder:
         self.lost = 0  # rows
         self.epoch_ns = epoch_ns  # counts until the first row
         self._reported = False  # whether lost rows have been reported
-        self._pending = bytearray()  # not yet in the pipe
+        self._pending = Outbox()
         self._command = [
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
             *(str(path), str(warn_below), str(end_below)),
@@ -110,7 +123,7 @@ class Recorder:
         self._met = False  # the writer has created the file
         self._unread = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line
-        self._pack = msgspec.msgpack.Encoder().encode_into
+        self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
         self._block, self._fast = Block(self._rows), span_ns > SPAN_NS
@@ -251,7 +264,7 @@ class Recorder:
         now = round(t * 1e9)
         due = self._ends(now)
         if self._fast and not due and len(self._block) < LARGEST:
-            if self._pending:
+            if self._pending.size:
                 self._hand_over()
             return []  # faster than real time, a write per tick costs more than rows
         if self._block:
@@ -282,14 +295,17 @@ class Recorder:
         return ["warning: the process that writes the log does not keep up; rows of it are lost"]
 
     def _send(self, frame: Frame) -> None:
-        if len(self._pending) > LARGEST_BACKLOG and not isinstance(frame, Topic):
+        if self._pending.size > LARGEST_BACKLOG and not isinstance(frame, Topic):
             self.lost += len(frame) if isinstance(frame, Messages) else 0
             return
-        begin = len(self._pending) + 4  # after the frame's length
-        self._pending += bytes(4)
-        self._pack(frame, self._pending, begin)
-        self._pending[begin - 4 : begin] = (len(self._pending) - begin).to_bytes(4, "little")
-        if len(self._pending) >= PIECE:
+        if isinstance(frame, Messages):
+            frame, stacks = apart(frame)
+            for data in stacks:
+                self._pending.add((len(data) | BESIDE).to_bytes(4, "little"))
+                self._pending.add_memory(data)
+        packed = self._pack(frame)
+        self._pending.add(len(packed).to_bytes(4, "little") + packed)
+        if self._pending.size >= PIECE:
             self._hand_over()
 
     def _hand_over(self) -> None:
@@ -301,7 +317,7 @@ class Recorder:
         self._raise_if_ended()
         try:
             self._push()
-            while self._waits and len(self._pending) > self._lead:
+            while self._waits and self._pending.size > self._lead:
                 if not self._takes_more(PATIENCE_S):
                     raise RecorderError(self._give_up(f"took nothing for {PATIENCE_S:g} s"))
                 self._push()
@@ -319,12 +335,7 @@ class Recorder:
     def _push(self) -> int:
         """Write without waiting; returns the number of bytes."""
         assert self._writer.stdin is not None
-        done = 0
-        with suppress(BlockingIOError), memoryview(self._pending) as pending:
-            while done < len(pending):
-                done += os.write(self._writer.stdin.fileno(), pending[done : done + BUFFER])
-        del self._pending[:done]
-        return done
+        return self._pending.write_to(self._writer.stdin.fileno())
 
     def _takes_more(self, wait_s: float) -> bool:
         poll = select.poll()
@@ -343,11 +354,11 @@ class Recorder:
             if monotonic() - idle_from > PATIENCE_S:
                 return self._give_up(f"did nothing for {PATIENCE_S:g} s")
             try:
-                pushed = self._push() if self._pending else 0
+                pushed = self._push() if self._pending.size else 0
             except BrokenPipeError:
                 self._pending.clear()
                 pushed = 0
-            if self._pending:
+            if self._pending.size:
                 self._takes_more(LOOK_S)
             else:
                 with suppress(BrokenPipeError):

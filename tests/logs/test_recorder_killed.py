@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from testbed.logs.frames import Mark, Messages, One, Stack, Table, Topic
+from testbed.logs.frames import BESIDE, Mark, Messages, One, Stack, Table, Topic, apart
 from testbed.logs.log_reader import LogReader
 from testbed.logs.mcap_writer import Disk, DiskFullError, frames, singly, write_log
 from testbed.logs.packing import Packer
@@ -289,6 +289,29 @@ def test_a_frame_that_is_cut_off_was_never_sent():
         pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
         assert list(frames(iter(pieces))) == [Mark(), Messages([One(0, 5, b"abc")])]
     assert list(frames(iter([stream[:-1]]))) == [Mark()]
+
+
+def test_memory_of_stacks_travels_beside_its_frame_and_comes_back():
+    """Memory goes before the frame that has it; a frame without memory is as before."""
+    import msgspec
+
+    stacks = [Stack(4, 1, memoryview(b"-abc-def")), Stack(3, 1, memoryview(b"-gh"))]
+    table = Table([0, 1], [10, 20, 30], [stacks, [Stack(2, 0, memoryview(b"ABCDEF"))]], [])
+    whole = Messages([One(3, 1, b"first"), table, One(0, 40, b"last")])
+    light, memory = apart(whole)
+    assert [bytes(one) for one in memory] == [b"-abc-def", b"-gh", b"ABCDEF"]
+    assert b"abc" not in msgspec.msgpack.encode(light)
+    stream = b""
+    for data in memory:
+        stream += (len(data) | BESIDE).to_bytes(4, "little") + bytes(data)
+    for frame in (light, Messages([One(0, 5, b"x")])):
+        packed = msgspec.msgpack.encode(frame)
+        stream += len(packed).to_bytes(4, "little") + packed
+    for size in (1, 3, 7, 1000):
+        pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
+        first, second = frames(iter(pieces))
+        assert msgspec.msgpack.encode(first) == msgspec.msgpack.encode(whole)
+        assert second == Messages([One(0, 5, b"x")])
 
 
 def test_a_table_gives_its_messages_time_by_time():
