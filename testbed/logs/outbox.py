@@ -22,7 +22,7 @@ class Outbox:
         self.size += len(data)
 
     def add_memory(self, data: memoryview) -> None:
-        """Append memory, by reference."""
+        """Append a view of bytes, by reference."""
         self._close_piece()
         if len(data):
             self._pieces.append(data)

@@ -298,12 +298,11 @@ class Recorder:
         if self._pending.size > LARGEST_BACKLOG and not isinstance(frame, Topic):
             self.lost += len(frame) if isinstance(frame, Messages) else 0
             return
-        if isinstance(frame, Messages):
-            frame, stacks = apart(frame)
-            for data in stacks:
-                self._pending.add((len(data) | BESIDE).to_bytes(4, "little"))
-                self._pending.add_memory(data)
+        frame, stacks = apart(frame) if isinstance(frame, Messages) else (frame, [])
         packed = self._pack(frame)
+        for data in stacks:
+            self._pending.add((len(data) | BESIDE).to_bytes(4, "little"))
+            self._pending.add_memory(data)
         self._pending.add(len(packed).to_bytes(4, "little") + packed)
         if self._pending.size >= PIECE:
             self._hand_over()

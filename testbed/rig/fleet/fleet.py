@@ -36,7 +36,9 @@ from testbed.rig.fleet.ticks import (
     fly_ticks,
 )
 
-LEAST, MOST_TICKS, VEHICLE_TICKS = 25, 100, 300  # in one call: an operator's stop waits for its end
+# Most ticks in one call, for an operator's stop waits for its end: that many vehicles' steps, but
+# not fewer ticks than FEW_TICKS and not more than MOST_TICKS.
+VEHICLES_STEPS, FEW_TICKS, MOST_TICKS = 300, 25, 100
 
 
 class Fleet:
@@ -67,7 +69,7 @@ class Fleet:
         self._kinds: tuple[Any, ...] = ()
         self._fly_ticks = with_fixed_types(fly_ticks)
         n = len(nodes)
-        self._ahead = ahead = max(LEAST, min(MOST_TICKS, VEHICLE_TICKS // n))
+        self._ahead = ahead = max(FEW_TICKS, min(MOST_TICKS, VEHICLES_STEPS // n))
         frames = 2 + int(ahead * (1.0 + period * twin.rate))
         self._out = SpanBuffers(
             np.zeros(PROGRESS, np.int64), np.zeros(1), np.zeros(n, np.int64),
