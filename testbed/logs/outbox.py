@@ -1,9 +1,11 @@
 """Bytes on their way to a pipe."""
 
+import fcntl
 import os
 from collections import deque
 from contextlib import suppress
 from itertools import islice
+from typing import IO
 
 AT_ONCE = 256  # most pieces in one call; the system takes 1024
 
@@ -55,3 +57,11 @@ class Outbox:
             if number < len(piece):
                 self._pieces.appendleft(memoryview(piece)[number:])
             number -= len(piece)
+
+
+def widen(pipe: IO[bytes] | None, size: int) -> None:
+    """Give a pipe this size [bytes], or a quarter; the system's, if its limits are lower."""
+    for one in (size, size // 4):
+        with suppress(OSError, AttributeError):  # too large for this user; not Linux
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, one)  # type: ignore[arg-type]
+            return

@@ -57,10 +57,11 @@ from testbed.logs.frames import (
     Topic,
     apart,
 )
-from testbed.logs.outbox import Outbox
+from testbed.logs.outbox import Outbox, widen
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
+FAST_BUFFER = 1024 * 1024  # the same faster than real time; the most that Linux gives a user
 PIECE = 64 * 1024  # most bytes kept between two marks before they are written
 LEAD = 4_000_000  # most bytes that a fast flight is ahead of its writer: 50 s of three vehicles
 LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
@@ -127,18 +128,19 @@ class Recorder:
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
         self._block, self._fast = Block(self._rows), span_ns > SPAN_NS
-        self._lead = LEAD if span_ns >= FAST_SPAN_NS else BUFFER
+        far = span_ns >= FAST_SPAN_NS
+        self._lead, self._buffer = (LEAD, FAST_BUFFER) if far else (BUFFER, BUFFER)
 
     def __enter__(self) -> "Recorder":
         self._writer = subprocess.Popen(
             self._command,
             bufsize=0,
-            pipesize=BUFFER,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,  # no Ctrl-C: the writer ends when the pipe closes
         )
+        widen(self._writer.stdin, self._buffer)
         return self
 
     def __exit__(
@@ -364,8 +366,8 @@ class Recorder:
                     self._writer.stdin.close()
                 with suppress(subprocess.TimeoutExpired):
                     self._writer.wait(LOOK_S)
-            grown, size = self._size() != size, self._size()
-            if pushed or grown:
+            before, size = size, self._size()
+            if pushed or size != before:
                 idle_from = monotonic()
         with suppress(BrokenPipeError):
             self._writer.stdin.close()

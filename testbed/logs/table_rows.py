@@ -5,6 +5,7 @@ indexed copy moves them all. The result is that of `tick_row.py` for the same ti
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,8 +143,7 @@ class TableRows:
         for end in ends:
             packer.grow(so_far[begin].tolist())  # a capacity grows with the first that needs it
             some = ticks.part(begin, int(end))
-            names = [one.name for one in MESSAGES[name].sequences]
-            rows = Layout(name, dict(zip(names, packer.most, strict=True))).rows(len(some))
+            rows = _layout(name, *packer.most).rows(len(some))
             make(rows, some, some.rows)
             made.append(_stack(rows, len(some)))
             begin = int(end)
@@ -229,6 +229,13 @@ def _stack(rows: Rows, number: int) -> Stack:
     """The messages of the first rows; their memory is not copied."""
     memory = rows.memory[:number]
     return Stack(memory.shape[1], SPARE, memory.reshape(-1).data)
+
+
+@cache
+def _layout(message: str, *most: int) -> Layout:
+    """The layout with these capacities of the message's sequences."""
+    names = [one.name for one in MESSAGES[message].sequences]
+    return Layout(message, dict(zip(names, most, strict=True)))
 
 
 def _longest(ticks: FlownRows | FlownHostRows) -> NDArray[np.int64]:

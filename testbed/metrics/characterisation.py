@@ -24,6 +24,7 @@ without an N x N array; M comes from a search through pairs of boxes that drops 
 each other to matter.
 """
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,7 @@ def characterise_each(positions: Array, velocities: Array) -> list[Characterisat
     finite = np.isfinite(x).all() and np.isfinite(velocities).all()
     if not 1 < n <= LEAF or not finite:
         return [characterise(*both) for both in zip(positions, velocities, strict=True)]
-    middle, i, (p, q) = x.mean(axis=1), np.arange(n), np.triu_indices(n, 1)
+    middle, i, (p, q) = x.mean(axis=1), np.arange(n), _pairs(n)
     outer = np.linalg.norm(x - middle[:, None], axis=2).max(axis=1)  # Eq. (3)
     apart = np.linalg.norm(x[:, :, None] - x[:, None], axis=3)
     pairs = apart[:, p, q]
@@ -115,6 +116,12 @@ def characterise_each(positions: Array, velocities: Array) -> list[Characterisat
         Characterisation(n, tuple(p), tuple(v), *numbers)
         for p, v, *numbers in zip(*columns, strict=True)
     ]
+
+
+@cache
+def _pairs(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Each two of n satellites."""
+    return np.triu_indices(n, 1)
 
 
 def extremes(positions: Array, radii: Array) -> tuple[float, float]:

@@ -1,11 +1,12 @@
 """Bytes for a pipe: their order, and what a full pipe leaves."""
 
+import fcntl
 import os
 
 import numpy as np
 import pytest
 
-from testbed.logs.outbox import Outbox
+from testbed.logs.outbox import Outbox, widen
 
 
 @pytest.fixture
@@ -66,3 +67,28 @@ def test_a_full_pipe_keeps_the_rest(pipe):
     box.clear()
     assert box.size == 0
     assert box.write_to(writing) == 0
+
+
+def test_a_pipe_gets_the_size_that_the_system_allows(pipe, monkeypatch):
+    if not hasattr(fcntl, "F_SETPIPE_SZ"):
+        pytest.skip("the system has no pipes of other sizes")
+    reading, writing = pipe
+    with os.fdopen(os.dup(writing), "wb") as file:
+        widen(file, 512 * 1024)
+        assert fcntl.fcntl(reading, fcntl.F_GETPIPE_SZ) == 512 * 1024
+        change, asked = fcntl.fcntl, []
+
+        def limited(pipe, command, size):
+            asked.append(size)
+            if size > 128 * 1024:
+                raise PermissionError(1, "Operation not permitted")
+            return change(pipe, command, size)
+
+        monkeypatch.setattr(fcntl, "fcntl", limited)
+        widen(file, 256 * 1024)
+        widen(file, 4096 * 1024)  # neither is allowed: it stays as it is
+        assert asked == [256 * 1024, 64 * 1024, 4096 * 1024, 1024 * 1024]
+        monkeypatch.undo()
+        assert fcntl.fcntl(reading, fcntl.F_GETPIPE_SZ) == 64 * 1024
+        monkeypatch.delattr(fcntl, "F_SETPIPE_SZ")
+        widen(file, 256 * 1024)
