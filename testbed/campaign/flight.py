@@ -128,6 +128,8 @@ def what_changed(campaign: Campaign, folder: Path) -> str:
         for before, now, where in pairs:
             if words := difference(before, now):
                 return words.replace("` was", f"`{where} was", 1)
+        if campaign.files:
+            return "a file that the grid names, at another place or with other content"
     return "another"
 
 

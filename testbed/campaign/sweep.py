@@ -40,7 +40,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from testbed.campaign.anchor import anchored
+from testbed.campaign.anchor import anchored, files_of
 from testbed.campaign.inline_toml import inline
 from testbed.campaign.row import COLUMNS, check_columns, check_vehicles
 from testbed.config import ConfigError, Experiment, dump, find, load, loads, read_toml
@@ -52,6 +52,7 @@ from testbed.config.validation import first_violation
 from testbed.core.error import MismatchError
 from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
+from testbed.run.code_digest import digest_of
 
 MOST_RUNS = 1_000_000
 MOST_CHECKED = 200  # combinations that are checked before the first run
@@ -173,9 +174,8 @@ class Campaign:
             for points in (axis.points() for axis in file.grid)
         ]
         self._grid = list(product(*axes))
-        given = {text for axis in file.grid for _, texts in axis.points() for text in texts}
         used = [text for points in axes for _, texts in points for text in texts]
-        self._files = [text for text in used if text not in given]
+        self.files = [one for text in used for one in files_of(text)]  # that the grid names
         self._shares = shares(file)
 
     @property
@@ -211,8 +211,8 @@ class Campaign:
 
     def payload(self) -> bytes:
         """Everything that determines what a run flies, and whether it passes."""
-        files = [self._files] if self._files else []  # the same name elsewhere is another file
-        return msgspec.json.encode((deciding(self.file), self.base, *files))
+        content = {str(file): digest_of(file.read_bytes()) for file in self.files}
+        return msgspec.json.encode((deciding(self.file), self.base, content))
 
 
 def deciding(file: CampaignFile) -> CampaignFile:

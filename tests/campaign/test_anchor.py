@@ -1,12 +1,13 @@
 """Paths in campaign, tuning and benchmark files are relative to the file."""
 
 import shutil
+from pathlib import Path
 
 import pytest
 import tomli_w
 
 from testbed.campaign.anchor import anchored
-from testbed.campaign.flight import replay_command
+from testbed.campaign.flight import replay_command, what_changed
 from testbed.campaign.sweep import load_campaign
 from testbed.campaign.trial import read
 from testbed.campaign.tuning import load_tuning
@@ -75,6 +76,39 @@ def test_a_grid_with_other_files_is_another_campaign(lab, tmp_path):
             for folder in (lab, tmp_path / "other")
         }
         assert (len(payloads) == 1) is same
+
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+CAR = {"model": "car.toml", "start": [0.0, 0.0, 0.0], "goal": [0.1, 0.0, 0.0]}
+LAW = {"type": "python", "law": "own_law.py:Spring"}
+FILES = {
+    "a table": ("own.toml", {"key": "table", "values": ["own.toml", "marble_6m"]}),
+    "an absolute path": ("own.toml", {"key": "table", "values": ["{}/own.toml", "marble_6m"]}),
+    "in cases": ("own.toml", {"name": "t", "cases": {"own": ["table=own.toml"], "other": []}}),
+    "a vehicle": ("car.toml", {"key": "vehicles.sat1.model", "values": ["car.toml"]}),
+    "a vehicle in a table": ("car.toml", {"key": "vehicles.sat1", "values": [CAR]}),
+    "a law": ("own_law.py", {"key": "controller", "values": [LAW]}),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_a_grid_whose_file_has_changed_is_another_campaign(lab, case):
+    name, axis = FILES[case]
+    shutil.copy(shipped("vehicles")["generic_8jet"], lab / "car.toml")
+    shutil.copy(EXAMPLES / "own_law.py", lab)
+    if "values" in axis:
+        values = [v.format(lab) if isinstance(v, str) else v for v in axis["values"]]
+        axis = {**axis, "values": values}
+    path = written(lab, grid=[axis])
+    before = load_campaign(path).payload()
+    assert load_campaign(path).payload() == before
+    (lab / "campaign.toml").write_bytes(path.read_bytes())
+    (lab / "base.toml").write_text(load_campaign(path).base)
+    with (lab / name).open("a") as file:
+        file.write("# changed\n")
+    changed = load_campaign(path)
+    assert changed.payload() != before
+    assert "a file that the grid names" in what_changed(changed, lab)
 
 
 @pytest.mark.parametrize("name", ['"a\\u0000"', "loop.toml"])
