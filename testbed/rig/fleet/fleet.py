@@ -36,9 +36,9 @@ from testbed.rig.fleet.ticks import (
     fly_ticks,
 )
 
-# Most ticks in one call, for an operator's stop waits for its end: that many vehicles' steps, but
-# not fewer ticks than FEW_TICKS and not more than MOST_TICKS.
-VEHICLES_STEPS, FEW_TICKS, MOST_TICKS = 300, 25, 100
+# An operator's stop waits for the end of a call, so a call has at most this many steps of all
+# vehicles together. The ticks that follow from it are limited, too.
+STEPS_PER_CALL, FEWEST_TICKS, MOST_TICKS = 300, 25, 100
 
 
 class Fleet:
@@ -69,7 +69,7 @@ class Fleet:
         self._kinds: tuple[Any, ...] = ()
         self._fly_ticks = with_fixed_types(fly_ticks)
         n = len(nodes)
-        self._ahead = ahead = max(FEW_TICKS, min(MOST_TICKS, VEHICLES_STEPS // n))
+        self._ahead = ahead = max(FEWEST_TICKS, min(MOST_TICKS, STEPS_PER_CALL // n))
         frames = 2 + int(ahead * (1.0 + period * twin.rate))
         self._out = SpanBuffers(
             np.zeros(PROGRESS, np.int64), np.zeros(1), np.zeros(n, np.int64),
