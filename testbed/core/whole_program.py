@@ -24,6 +24,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.core.target_extension import jit_registry, target_registry
+from numba.extending import overload
+from numba.np import arrayobj
 
 from testbed.core.code_cache import OwnTypesCache
 
@@ -213,6 +215,31 @@ def make_overloads_parts() -> None:
 make_overloads_parts()
 
 
+def wrong_size(found: Any, expected: Any) -> None:
+    """An array is assigned to a slice of another size."""
+
+
+@overload(wrong_size)
+def _wrong_size(found: Any, expected: Any) -> Any:
+    def compiled_wrong_size(found: Any, expected: Any) -> None:
+        raise ValueError("cannot assign an array to a slice of another size")
+
+    return compiled_wrong_size
+
+
+# Numba's own error has both sizes, and functions for text that take 2 s to compile in each process.
+cast(Any, arrayobj).raise_with_shape_context = wrong_size
+
+
+class Part(CPUDispatcher):
+    """A function as compiled code calls it."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """See numba, which lowers one function for each constant that is an argument."""
+        plain = {name: types.unliteral(kind) for name, kind in kws.items()}
+        return super().get_call_template(tuple(map(types.unliteral, args)), plain)
+
+
 class Entry(CPUDispatcher):
     """A function that Python calls; compiled code that calls it takes the part instead."""
 
@@ -234,10 +261,10 @@ class Entry(CPUDispatcher):
                 self._cache.unlock()
 
     @cached_property
-    def part(self) -> CPUDispatcher:
+    def part(self) -> Part:
         """The function as compiled code calls it."""
         options = self.targetoptions | UNWRAPPED
-        return CPUDispatcher(self.py_func, self.locals, options, PartCompiler)
+        return Part(self.py_func, self.locals, options, PartCompiler)
 
     @property
     def _numba_type_(self) -> Any:

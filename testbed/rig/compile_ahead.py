@@ -1,11 +1,11 @@
-"""Compiles parts of a flight's code in processes of their own, on the first flight on a machine.
+"""Shares the compiling of the first flight on a machine among its cores.
 
-The compiler works on one core. While this process compiles the estimator and small functions, one
-more compiles the rest of the chain, another the plant and a third the law; they meet in the cache
-on disk (core/code_cache.py), where each finds what the others have finished and waits for what
-another one has begun.
+The compiler works on one core. While this process compiles the larger half of the chain, others
+compile the estimator, the plant and the law; they meet in the cache on disk (core/code_cache.py),
+where each finds what the others have finished and waits for what another one has begun. A process
+compiles a function once for all its callers, so there are no more processes than cores.
 
-    python -m testbed.rig.compile_ahead PART    the experiment is read from standard input
+    python -m testbed.rig.compile_ahead PART...    the experiment is read from standard input
 """
 
 import fcntl
@@ -37,30 +37,44 @@ TICKS = 4  # of a law, until its ticks are single calls, see fleet/host.py
 DONE = "chain.act"  # this function has code: a flight has been compiled
 LOCK = "compiling.lock"  # in the cache: one flight at a time starts other processes
 
-LARGEST = "vehicle"  # of the parts
-GIVE_WAY = 10  # niceness of the others
+GIVE_WAY = 10  # niceness of the other processes
+
+
+class Compilers:
+    """Processes that compile beside this one."""
+
+    def __init__(self, experiment: Experiment, cores: int) -> None:
+        """Start them; with one core, none."""
+        self._experiment = experiment
+        parts = [part for part in PARTS if part != "law" or _is_ours(experiment)]
+        shares = [parts[k :: cores - 1] for k in range(min(cores - 1, len(parts)))]
+        self._processes = [_start(share, experiment) for share in shares]
+
+    def join_in(self) -> None:
+        """Compile the part of this process, if there are others."""
+        if self._processes:
+            act(self._experiment)
+
+    def end(self) -> None:
+        """End the other processes."""
+        for one in self._processes:
+            one.kill()
+            one.wait()
 
 
 @contextmanager
-def compiling_ahead(experiment: Experiment) -> Iterator[Callable[[], None]]:
-    """Let other processes compile meanwhile, if the cache is empty and this flight is the first.
+def compiling_ahead(experiment: Experiment) -> Iterator[Compilers]:
+    """Let other processes compile, too, if the cache is empty and this flight is the first.
 
     Yields:
-        a function that ends them; they end with the context, too.
+        these, which end with the context.
     """
     with _first_flight() as first:
-        parts = [part for part in PARTS if part != "law" or _is_ours(experiment)]
-        helpers = [_start(part, experiment) for part in parts] if first else []
-
-        def end() -> None:
-            for one in helpers:
-                one.kill()
-                one.wait()
-
+        compilers = Compilers(experiment, (os.cpu_count() or 1) if first else 1)
         try:
-            yield end
+            yield compilers
         finally:
-            end()
+            compilers.end()
 
 
 @contextmanager
@@ -95,9 +109,9 @@ def _is_ours(experiment: Experiment) -> bool:
     return shipped and not isinstance(controller, OwnLawParams)
 
 
-def _start(part: str, experiment: Experiment) -> "subprocess.Popen[bytes]":
+def _start(parts: list[str], experiment: Experiment) -> "subprocess.Popen[bytes]":
     process = subprocess.Popen(
-        [sys.executable, "-m", "testbed.rig.compile_ahead", part],
+        [sys.executable, "-m", "testbed.rig.compile_ahead", *parts],
         stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     assert process.stdin is not None
@@ -105,15 +119,21 @@ def _start(part: str, experiment: Experiment) -> "subprocess.Popen[bytes]":
         process.stdin.write(msgspec.json.encode(experiment))
         process.stdin.close()
     except BrokenPipeError:
-        pass  # it has failed; this process compiles its part
+        pass  # it has failed; this process compiles its parts
     return process
 
 
-def vehicle(experiment: Experiment) -> None:
+def act(experiment: Experiment) -> None:
     """Compile the chain from the setpoint to the valves."""
     agent = make_agent(experiment, next(iter(experiment.vehicles)))
-    samples, references, others = np.empty((0, 4)), np.empty((0, 10)), np.empty((0, WIDTH))
-    CodeAddress(chain.act, (agent.vehicle, samples, references, others))
+    references, others = np.empty((0, 10)), np.empty((0, WIDTH))
+    CodeAddress(chain.act, (agent.vehicle, np.empty((0, 4)), references, others))
+
+
+def see(experiment: Experiment) -> None:
+    """Compile the estimator."""
+    agent = make_agent(experiment, next(iter(experiment.vehicles)))
+    CodeAddress(chain.see, (agent.vehicle, np.empty((0, 4))))
 
 
 def plant(experiment: Experiment) -> None:
@@ -143,10 +163,12 @@ def law(experiment: Experiment) -> None:
         rig.hosts[0].tick(rig.twin.now)
 
 
-PARTS: dict[str, Callable[[Experiment], None]] = {"vehicle": vehicle, "plant": plant, "law": law}
+# of the other processes, in this order
+PARTS: dict[str, Callable[[Experiment], None]] = {"see": see, "plant": plant, "law": law}
 
 
 if __name__ == "__main__":
-    if sys.argv[1] != LARGEST:
-        os.nice(GIVE_WAY)
-    PARTS[sys.argv[1]](msgspec.json.decode(sys.stdin.buffer.read(), type=Experiment))
+    os.nice(GIVE_WAY)
+    flown = msgspec.json.decode(sys.stdin.buffer.read(), type=Experiment)
+    for part in sys.argv[1:]:
+        PARTS[part](flown)

@@ -27,7 +27,7 @@ from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.pacer import PacedClock
 from testbed.realtime.scheduling import steady_memory
-from testbed.rig.compile_ahead import compiling_ahead
+from testbed.rig.compile_ahead import Compilers, compiling_ahead
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver, handles_single_ticks
 from testbed.rig.twin import TwinRig, make_twin, warm_up
@@ -197,17 +197,17 @@ def fly_and_judge(
         epoch_ns: time of the log, UTC, at time 0 of the run; 0: two runs give the same bytes.
     """
     interrupt, screen = interrupt or Interrupt(), screen or FlightScreen()
-    with compiling_ahead(experiment) as end_compilers:
+    with compiling_ahead(experiment) as compilers:
         return _fly_and_judge(
-            experiment, folder, interrupt, make(experiment), speed, screen, epoch_ns, end_compilers
+            experiment, folder, interrupt, make(experiment), speed, screen, epoch_ns, compilers
         )
 
 
 def _fly_and_judge(
     experiment: Experiment, folder: Path, interrupt: Interrupt, rig: Rig, speed: float | None,
-    screen: FlightScreen, epoch_ns: int, end_compilers: Callable[[], None],
+    screen: FlightScreen, epoch_ns: int, compilers: Compilers,
 ) -> Metrics:  # fmt: skip
-    """`fly_and_judge` with a rig that is made; `end_compilers` is called before the flight."""
+    """`fly_and_judge` with a rig that is made; the compilers are ended before the flight."""
     pace = None
     if speed is not None and isinstance(rig, TwinRig):
         pace = PacedClock(rig.twin, speed)
@@ -223,8 +223,9 @@ def _fly_and_judge(
     try:
         with recorder, screen.showing():
             with interrupt.at_once(), patience():
+                compilers.join_in()
                 warm_up(experiment, lambda: interrupt.asked)
-            end_compilers()  # nothing else may run beside a flight
+            compilers.end()  # nothing else may run beside a flight
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)

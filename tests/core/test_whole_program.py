@@ -51,6 +51,19 @@ def turned_round(x, times):
     return kept[1:]
 
 
+@compiled
+def chosen(x, k, doubled):
+    return 2.0 * x[k] if doubled else x[k]
+
+
+@compiled
+def chooses(x):
+    several = 0.0
+    for k in range(2):
+        several += chosen(x, k, k == 1)
+    return several + chosen(x, 1, True) + chosen(x, k=2, doubled=False)
+
+
 @numba.njit
 def of_a_user(x):
     return both(x)
@@ -112,6 +125,11 @@ def test_no_machine_code_is_made_of_a_part():
     assert part.library.get_pointer_to_function(part.fndesc.llvm_func_name) == 0
 
 
+def test_a_part_is_lowered_once_whatever_its_constants():
+    assert chooses(X) == chooses.py_func(X)
+    assert len(chosen.part.overloads) == 1
+
+
 def test_overloads_are_parts(monkeypatch):
     finished, finalize = [], JITCodeLibrary.finalize
 
@@ -146,7 +164,7 @@ def test_an_error_deep_inside_reaches_the_caller():
     with pytest.raises(ValueError, match="expected three numbers, found 2"):
         asks(X[:2])
     for way in (of_a_user_that_writes, writes):
-        with pytest.raises(ValueError, match=r"cannot assign slice of shape \(2,\) .* \(3,\)"):
+        with pytest.raises(ValueError, match="cannot assign an array to a slice of another"):
             way(np.zeros(3), X)
 
 

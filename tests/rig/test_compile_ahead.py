@@ -15,7 +15,7 @@ from testbed.rig.fleet.host import TwinHost
 @pytest.mark.parametrize("name", ["hold", "zhang2023_table", "zhang2023_table_wrench"])
 def test_each_part_runs(name):
     """In this process: its code is compiled by now."""
-    for part in compile_ahead.PARTS.values():
+    for part in (compile_ahead.act, *compile_ahead.PARTS.values()):
         part(load(find(name)))
 
 
@@ -79,6 +79,32 @@ def test_flights_that_begin_together_start_them_once(started, cache):
         assert len(started) == 2 * len(compile_ahead.PARTS)  # the lock is free again
 
 
+@pytest.mark.parametrize(
+    ("cores", "shares"),
+    [
+        (2, [["see", "plant", "law"]]),
+        (3, [["see", "law"], ["plant"]]),
+        (4, [["see"], ["plant"], ["law"]]),
+        (64, [["see"], ["plant"], ["law"]]),
+    ],
+)
+def test_each_process_has_a_core(started, cache, monkeypatch, cores, shares):
+    """A function that two parts call is compiled in both, if they are in two processes."""
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    with compiling_ahead(load(find("hold"))):
+        assert [one.args[3:] for one in started] == shares
+
+
+def test_this_process_compiles_its_part_where_others_compile(monkeypatch, started, cache):
+    joined = []
+    monkeypatch.setattr(compile_ahead, "act", joined.append)
+    experiment = load(find("hold"))
+    with compiling_ahead(experiment) as compilers, compiling_ahead(experiment) as later:
+        compilers.join_in()
+        later.join_in()  # it waits for the code of the first one
+    assert joined == [experiment]
+
+
 def test_none_is_started_where_the_cache_cannot_be_written(started, cache):
     cache.parent.joinpath("cache").touch()  # a file
     with compiling_ahead(load(find("hold"))):
@@ -92,7 +118,7 @@ def test_a_users_law_runs_in_the_flights_process_only():
 
 
 def test_they_can_be_ended_before_the_flight(started, cache):
-    with compiling_ahead(load(find("hold"))) as end:
-        end()
+    with compiling_ahead(load(find("hold"))) as compilers:
+        compilers.end()
         assert started
         assert all(one.returncode is not None for one in started)
