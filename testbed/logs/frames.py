@@ -1,14 +1,11 @@
 """What the recorder sends to the writer's process; small, because that process starts first."""
 
-from collections import deque
 from collections.abc import Iterator
 
 from msgspec import Struct
 
-BESIDE = 1 << 31  # in a length: what follows is memory of the next frame's stacks, not a frame
 READY = b"ready\n"  # the writer's first line
 FULL = "full: "  # before the reason, in the writer's line that the flight must end
-NONE = memoryview(b"")
 
 
 class Epoch(Struct, frozen=True, tag=True, array_like=True):
@@ -80,32 +77,3 @@ class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
 
 
 Frame = Epoch | Topic | Messages | Mark
-
-
-def apart(frame: Messages) -> tuple[Messages, list[memoryview]]:
-    """The frame without the memory of its stacks, and this memory: packing would copy it."""
-    memory: list[memoryview] = []
-    parts: list[One | Table] = []
-    for part in frame.parts:
-        if isinstance(part, Table):
-            memory += [one.data for stacks in part.columns for one in stacks]
-            columns = [[Stack(one.pitch, one.spare, NONE) for one in s] for s in part.columns]
-            part = Table(part.topics, part.stamps, columns, part.between)
-        parts.append(part)
-    return Messages(parts), memory
-
-
-def joined(frame: Frame, memory: deque[bytes]) -> Frame:
-    """The frame with the memory of its stacks, which is taken from these; see `apart`."""
-    if not memory or not isinstance(frame, Messages):
-        return frame
-    parts: list[One | Table] = []
-    for part in frame.parts:
-        if isinstance(part, Table):
-            columns = [
-                [Stack(one.pitch, one.spare, memoryview(memory.popleft())) for one in stacks]
-                for stacks in part.columns
-            ]
-            part = Table(part.topics, part.stamps, columns, part.between)
-        parts.append(part)
-    return Messages(parts)

@@ -16,7 +16,6 @@ from pathlib import Path
 from queue import Queue
 from threading import Thread
 
-import msgspec
 from mcap.data_stream import RecordBuilder
 from mcap.records import DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
@@ -24,19 +23,8 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.frames import (
-    BESIDE,
-    FULL,
-    READY,
-    Epoch,
-    Frame,
-    Mark,
-    Messages,
-    One,
-    Table,
-    Topic,
-    joined,
-)
+from testbed.logs.frame_stream import frames_of
+from testbed.logs.frames import FULL, READY, Epoch, Frame, Mark, Messages, One, Table, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
@@ -98,27 +86,6 @@ def read_chunks(descriptor: int) -> Iterator[bytes]:
     Thread(target=drink, daemon=True).start()
     while gulp := waiting.get():
         yield gulp
-
-
-def frames(pieces: Iterator[bytes]) -> Iterator[Frame]:
-    """Frames of a stream; a frame that is cut off at the end is dropped."""
-    decode = msgspec.msgpack.Decoder(Frame).decode
-    held, memory = bytearray(), deque[bytes]()
-    for piece in pieces:
-        held += piece
-        at = 0
-        while len(held) - at >= 4:
-            length = int.from_bytes(held[at : at + 4], "little")
-            end = at + 4 + (length & ~BESIDE)
-            if end > len(held):
-                break
-            data = bytes(held[at + 4 : end])  # a copy: the frame keeps parts of it
-            if length & BESIDE:
-                memory.append(data)
-            else:
-                yield joined(decode(data), memory)
-            at = end
-        del held[:at]
 
 
 class Disk:
@@ -266,7 +233,7 @@ def main() -> int:
 
     disk = Disk(lambda: free_at(path), warn_below, end_below)
     try:
-        write_log(path, frames(read_chunks(sys.stdin.fileno())), disk, reply)
+        write_log(path, frames_of(read_chunks(sys.stdin.fileno())), disk, reply)
     except OSError as error:
         reply(f"{error.filename or path}: {error.strerror}")
     except DiskFullError as error:

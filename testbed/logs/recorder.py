@@ -37,26 +37,14 @@ from pathlib import Path
 from time import monotonic
 from types import TracebackType
 
-import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.logs.block import LARGEST, Block, Columns, Later, Piece, nothing
-from testbed.logs.frames import (
-    BESIDE,
-    FULL,
-    READY,
-    Epoch,
-    Frame,
-    Mark,
-    Messages,
-    One,
-    Table,
-    Topic,
-    apart,
-)
+from testbed.logs.frame_stream import pieces_of
+from testbed.logs.frames import FULL, READY, Epoch, Frame, Mark, Messages, One, Table, Topic
 from testbed.logs.outbox import Outbox, widen
 from testbed.logs.tick_row import Made, Names, RowWriter
 
@@ -124,7 +112,6 @@ class Recorder:
         self._met = False  # the writer has created the file
         self._unread = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line
-        self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
         self._block, self._fast = Block(self._rows), span_ns > SPAN_NS
@@ -300,12 +287,11 @@ class Recorder:
         if self._pending.size > LARGEST_BACKLOG and not isinstance(frame, Topic):
             self.lost += len(frame) if isinstance(frame, Messages) else 0
             return
-        frame, stacks = apart(frame) if isinstance(frame, Messages) else (frame, [])
-        packed = self._pack(frame)
-        for data in stacks:
-            self._pending.add((len(data) | BESIDE).to_bytes(4, "little"))
-            self._pending.add_memory(data)
-        self._pending.add(len(packed).to_bytes(4, "little") + packed)
+        for piece in pieces_of(frame):
+            if isinstance(piece, memoryview):
+                self._pending.add_memory(piece)
+            else:
+                self._pending.add(piece)
         if self._pending.size >= PIECE:
             self._hand_over()
 

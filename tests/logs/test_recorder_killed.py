@@ -6,15 +6,18 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from testbed.logs.frames import BESIDE, Mark, Messages, One, Stack, Table, Topic, apart
+from testbed.logs.frame_stream import frames_of, pieces_of
+from testbed.logs.frames import Mark, Messages, One, Stack, Table, Topic
 from testbed.logs.log_reader import LogReader
-from testbed.logs.mcap_writer import Disk, DiskFullError, frames, singly, write_log
+from testbed.logs.mcap_writer import Disk, DiskFullError, singly, write_log
 from testbed.logs.packing import Packer
 from testbed.logs.recorder import FAST_SPAN_NS, SPAN_NS, Recorder, RecorderError
 from testbed.logs.truth import Motion, Truth
@@ -280,44 +283,46 @@ def test_a_write_that_fails_leaves_a_whole_file(tmp_path, monkeypatch):
     assert read == stamps(path)
 
 
-def test_a_frame_that_is_cut_off_was_never_sent():
-    import msgspec
+def cuts(stream: bytes) -> Iterator[list[bytes]]:
+    """The stream in pieces of several sizes."""
+    for size in (1, 3, 7, 1000):
+        yield [stream[k : k + size] for k in range(0, len(stream), size)]
 
-    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Messages([One(0, 5, b"abc")]))]
-    stream = b"".join(len(p).to_bytes(4, "little") + p for p in packed)
-    for size in (1, 3, 7, 100):
-        pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
-        assert list(frames(iter(pieces))) == [Mark(), Messages([One(0, 5, b"abc")])]
-    assert list(frames(iter([stream[:-1]]))) == [Mark()]
+
+def test_a_frame_that_is_cut_off_was_never_sent():
+    frames = [Mark(), Messages([One(0, 5, b"abc")])]
+    stream = b"".join(piece for frame in frames for piece in pieces_of(frame))
+    for pieces in cuts(stream):
+        assert list(frames_of(pieces)) == frames
+    assert list(frames_of([stream[:-1]])) == [Mark()]
 
 
 def test_memory_of_stacks_travels_beside_its_frame_and_comes_back():
-    """Memory goes before the frame that has it; a frame without memory is as before."""
-    import msgspec
-
-    stacks = [Stack(4, 1, memoryview(b"-abc-def")), Stack(3, 1, memoryview(b"-gh"))]
-    table = Table([0, 1], [10, 20, 30], [stacks, [Stack(2, 0, memoryview(b"ABCDEF"))]], [])
+    """Memory goes before the frame that has it, uncopied; a frame without it is packed alone."""
+    rows = [np.frombuffer(data, np.uint8) for data in (b"-abc-def", b"-gh", b"ABCDEF")]
+    stacks = [Stack(4, 1, memoryview(rows[0])), Stack(3, 1, memoryview(rows[1]))]
+    table = Table([0, 1], [10, 20, 30], [stacks, [Stack(2, 0, memoryview(rows[2]))]], [])
     whole = Messages([One(3, 1, b"first"), table, One(0, 40, b"last")])
-    light, memory = apart(whole)
-    assert [bytes(one) for one in memory] == [b"-abc-def", b"-gh", b"ABCDEF"]
-    assert b"abc" not in msgspec.msgpack.encode(light)
-    stream = b""
-    for data in memory:
-        stream += (len(data) | BESIDE).to_bytes(4, "little") + bytes(data)
-    for frame in (light, Messages([One(0, 5, b"x")])):
-        packed = msgspec.msgpack.encode(frame)
-        stream += len(packed).to_bytes(4, "little") + packed
-    for size in (1, 3, 7, 1000):
-        pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
-        first, second = frames(iter(pieces))
-        assert msgspec.msgpack.encode(first) == msgspec.msgpack.encode(whole)
-        assert second == Messages([One(0, 5, b"x")])
+    pieces = list(pieces_of(whole))
+    for data, row in zip([one for one in pieces if isinstance(one, memoryview)], rows, strict=True):
+        assert np.shares_memory(np.frombuffer(data, np.uint8), row)
+    short, packed = Messages([One(0, 5, b"x")]), msgspec.msgpack.encode
+    stream = b"".join((*pieces, *pieces_of(short)))
+    assert stream.count(b"abc") == 1
+    for pieces in cuts(stream):
+        first, second = frames_of(pieces)
+        assert packed(first) == packed(whole)
+        assert second == short
+
+
+def test_nothing_of_a_frame_that_cannot_be_packed_is_sent():
+    stacks = [[Stack(2, 0, memoryview(b"AB"))]]
+    with pytest.raises(OverflowError):
+        next(pieces_of(Messages([Table([1 << 70], [10], stacks, [])])))
 
 
 def test_a_table_gives_its_messages_time_by_time():
     """Columns may be in several stacks of other sizes; more messages stand at their places."""
-    import msgspec
-
     first = [Stack(4, 1, memoryview(b"-abc-def")), Stack(3, 1, memoryview(b"-gh"))]
     second = [Stack(2, 0, memoryview(b"ABCDEF"))]
     between = [(0, One(2, 7, b"before")), (1, One(3, 10, b"after")), (3, One(3, 30, b"last"))]
