@@ -109,6 +109,12 @@ def trajectory(run: Path) -> None:
     (HERE / "flight.svg").write_text(drawing, encoding="utf-8")
 
 
+def scene(run: Path) -> None:
+    """The log's standard messages, as a 3D panel shows them from above."""
+    command = [HERE.parents[1] / "tests/scene_picture.py", run / "log.mcap", str(MIDDLE_S)]
+    subprocess.run([sys.executable, *command, HERE / "scene.png"], check=True)
+
+
 def main() -> None:
     """Make all of them."""
     with tempfile.TemporaryDirectory() as folder:
@@ -116,6 +122,7 @@ def main() -> None:
         half, whole = Path(folder) / "half", Path(folder) / "whole"
         fly(whole)
         trajectory(whole)
+        scene(whole)
         cut(whole, half)
         keep(dashboard(half), "dashboard.png", 1600)
         keep(report(whole), "report.png", 1240)

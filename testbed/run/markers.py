@@ -12,20 +12,24 @@ CUBE, CYLINDER, TEXT = 1, 3, 9  # types of markers
 THICK = 0.02  # of the drawn table [m]
 TALL = 0.15  # of the drawn bodies [m]
 STONE, RED, BLUE = (0.75, 0.75, 0.72, 1.0), (0.8, 0.2, 0.2, 1.0), (0.2, 0.4, 0.8, 0.9)
-WHITE = (1.0, 1.0, 1.0, 1.0)
+PALE, WHITE = (0.8, 0.2, 0.2, 0.3), (1.0, 1.0, 1.0, 1.0)
 
 
 def scene_of(experiment: Experiment) -> bytes:
     """All markers of an experiment, which last for the whole log.
 
-    Vehicles move with /tf; an obstacle is where it is at first.
+    Vehicles move with /tf; an obstacle is where it is at first. Its solid core is as tall as a
+    vehicle. The disc on the table has the danger radius, which only a vehicle's centre must keep.
     """
-    size = experiment.table.size
-    markers = [_marker("table", TABLE, CUBE, (size[0], size[1], THICK), STONE, (0, 0, -THICK / 2))]
+    top = (*experiment.table.size, THICK)
+    markers = [_marker("table", TABLE, CUBE, top, STONE, (0, 0, -THICK / 2))]
     for name, one in experiment.obstacles.items():
-        wide = 2.0 * one.radius
-        at = (*one.position, THICK / 2)
-        markers.append(_marker(f"obstacles/{name}", TABLE, CYLINDER, (wide, wide, THICK), RED, at))
+        wide, core = 2.0 * one.radius, 2.0 * one.solid
+        on, up = (*one.position, THICK / 2), (*one.position, TALL / 2)
+        markers.append(_marker(f"danger/{name}", TABLE, CYLINDER, (wide, wide, THICK), PALE, on))
+        if core > 0.0:
+            size = (core, core, TALL)
+            markers.append(_marker(f"obstacles/{name}", TABLE, CYLINDER, size, RED, up))
     for name, setup in experiment.vehicles.items():
         wide = 2.0 * setup.model.radius
         body, nose = (0, 0, TALL / 2), (setup.model.radius / 2, 0, TALL)

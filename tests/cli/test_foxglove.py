@@ -8,6 +8,7 @@ import pytest
 from mcap.reader import make_reader
 
 from ros_rules import refused
+from testbed.config import load
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.columns import Columns
 from testbed.logs.log_reader import LogReader
@@ -105,6 +106,56 @@ def test_a_pose_is_that_of_the_vehicle_at_its_stamp(testbed, here):
         assert np.allclose(late[topic], 0.036)  # and 6 ms until the valve is open
         assert np.median(stamped[topic]) < 0.1 * np.median(ticks[topic])
         assert max(stamped[topic]) < 0.001
+
+
+@pytest.mark.parametrize("shown", [0.6, 20.1, 37.1])  # there are transforms
+def test_the_scene_shows_things_where_they_are(testbed, here, shown):
+    """Drawn from /scene and /tf alone; a vehicle overlaps a danger disc, but never a solid core."""
+    pytest.importorskip("PIL.Image", reason="the dashboard extra is not installed")
+    from scene_picture import draw, pixel
+
+    testbed("run", "zhang2023_table", "duration_s=40", "criteria={}", "--out", "out")
+    picture = draw(Path("out/log.mcap"), shown)
+    flown, truth = load(Path("out/config.toml")), Columns(LogReader(Path("out/log.mcap")))
+
+    def colour(x: float, y: float) -> str:
+        r, g, b = picture.getpixel(pixel(x, y))
+        if min(r, g, b) > 250:
+            return "paper"
+        if r > 1.5 * b:
+            return "core"
+        return "body" if b > 1.5 * r else "danger" if r > 1.2 * b else "table"
+
+    row = truth.rows["/truth"]
+    row = row[np.searchsorted(row["t"], shown)]
+    radius = flown.vehicles["sat1"].model.radius
+    for pose in (one["pose"] for one in row["vehicles"][:3]):
+        x, y, theta = (float(pose[name]) for name in ("x", "y", "theta"))
+        beside = theta - 0.5 * math.pi  # off the white nose
+        across = math.cos(beside), math.sin(beside)
+        for share, is_body in ((0.2, True), (0.93, True), (1.07, False)):
+            at = x + share * radius * across[0], y + share * radius * across[1]
+            assert (colour(*at) == "body") is is_body
+        nose = x + 0.5 * radius * math.cos(theta), y + 0.5 * radius * math.sin(theta)
+        assert colour(*nose) == "paper"  # white
+    for one in flown.obstacles.values():
+        x, y = one.position
+        assert colour(x, y) == colour(x, y + 0.9 * one.solid) == "core"
+        assert colour(x, y + 1.1 * one.solid) == colour(x, y + 0.95 * one.radius) == "danger"
+        assert colour(x, y + 1.05 * one.radius) == "table"
+    assert colour(2.9, -2.9) == "table"
+    assert colour(3.1, 0.0) == colour(0.0, -3.1) == "paper"
+
+
+def test_a_scene_without_a_transform_is_an_error(testbed, here, monkeypatch):
+    pytest.importorskip("PIL.Image", reason="the dashboard extra is not installed")
+    import scene_picture
+
+    testbed("run", "hold", "duration_s=2", "criteria={}", "--out", "out")
+    markers, frames = scene_picture.read(Path("out/log.mcap"), 1.0)
+    monkeypatch.setattr(scene_picture, "read", lambda *_: (markers, {"table": frames["table"]}))
+    with pytest.raises(ValueError, match="no transform from `table` to `sat1`"):
+        scene_picture.draw(Path("out/log.mcap"), 1.0)
 
 
 @pytest.mark.parametrize(

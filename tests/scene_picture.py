@@ -1,0 +1,108 @@
+"""Draws /scene and /tf of a log as a 3D panel shows them from above.
+
+Messages are read by mcap_ros2, and nothing of the testbed is used: what is missing or wrong in the
+log is missing or wrong in the picture.
+
+    python tests/scene_picture.py LOG SECONDS PICTURE
+"""
+
+import math
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap_ros2.reader import read_ros2_messages
+from PIL import Image, ImageDraw
+
+CUBE, CYLINDER, TEXT = 1, 3, 9  # visualization_msgs/Marker
+SCALE = 110  # pixels per metre
+HALF = 3.3  # metres from the middle of the picture to its edges
+PAPER, GRID, INK = (255, 255, 255), (200, 200, 200), (20, 20, 20)
+CORNERS = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+ROUND = [(0.5 * math.cos(k * math.pi / 36), 0.5 * math.sin(k * math.pi / 36)) for k in range(72)]
+
+
+class Place(NamedTuple):
+    """A pose in the plane of the table, with a height."""
+
+    x: float
+    y: float
+    z: float
+    turn: float
+
+    def of(self, x: float, y: float) -> tuple[float, float]:
+        """Where a point of this frame is on the table."""
+        c, s = math.cos(self.turn), math.sin(self.turn)
+        return self.x + c * x - s * y, self.y + s * x + c * y
+
+    def then(self, inner: "Place") -> "Place":
+        """A place that is given in this one."""
+        x, y = self.of(inner.x, inner.y)
+        return Place(x, y, self.z + inner.z, self.turn + inner.turn)
+
+
+def place(position: Any, turn: Any) -> Place:
+    """From a message's position and quaternion, which turns about z only."""
+    if abs(turn.x) > 1e-9 or abs(turn.y) > 1e-9:
+        raise ValueError(f"expected a turn about z, found {turn}")
+    return Place(position.x, position.y, position.z, 2.0 * math.atan2(turn.z, turn.w))
+
+
+def pixel(x: float, y: float) -> tuple[float, float]:
+    """Where a point of the table is in the picture: x to the right, y up."""
+    return SCALE * (HALF + x), SCALE * (HALF - y)
+
+
+def read(log: Path, seconds: float) -> tuple[list[Any], dict[str, Place]]:
+    """Markers, and the newest place of each frame in that of the table, this long after the start.
+
+    Markers come once and last; a frame moves with its newest transform.
+    """
+    markers: list[Any] = []
+    frames = {"table": Place(0.0, 0.0, 0.0, 0.0)}
+    began = None
+    for message in read_ros2_messages(str(log)):
+        began = message.log_time_ns if began is None else began
+        if message.log_time_ns - began > 1e9 * seconds:
+            break
+        if message.channel.topic == "/scene":
+            markers += message.ros_msg.markers
+        elif message.channel.topic == "/tf":
+            for one in message.ros_msg.transforms:
+                if one.header.frame_id != "table":
+                    raise ValueError(f"expected transforms from `table`, found {one.header}")
+                moved = one.transform
+                frames[one.child_frame_id] = place(moved.translation, moved.rotation)
+    return markers, frames
+
+
+def draw(log: Path, seconds: float) -> Image.Image:
+    """The picture; a marker whose frame has no transform is an error, as in the panel."""
+    markers, frames = read(log, seconds)
+    size = round(2 * SCALE * HALF)
+    picture = Image.new("RGB", (size, size), PAPER)
+    pen = ImageDraw.Draw(picture, "RGBA")  # mixes colours
+    shapes = []
+    for one in markers:
+        if (frame := frames.get(one.header.frame_id)) is None:
+            raise ValueError(f"no transform from `table` to `{one.header.frame_id}`")
+        at = frame.then(place(one.pose.position, one.pose.orientation))
+        shapes.append((at.z + 0.5 * one.scale.z, at, one))
+    for _, at, one in sorted(shapes, key=lambda shape: shape[0]):  # what is on top comes last
+        rgba = one.color.r, one.color.g, one.color.b, one.color.a
+        colour = tuple(round(255 * part) for part in rgba)
+        if one.type == TEXT:
+            pen.text(pixel(at.x, at.y - 0.3), one.text, fill=INK, anchor="mm", font_size=18)
+            continue
+        outline = {CUBE: CORNERS, CYLINDER: ROUND}[one.type]
+        points = [pixel(*at.of(one.scale.x * x, one.scale.y * y)) for x, y in outline]
+        pen.polygon(points, fill=colour)
+        if one.ns == "table":
+            for k in range(-3, 4):
+                pen.line((*pixel(k, -3), *pixel(k, 3)), fill=GRID)
+                pen.line((*pixel(-3, k), *pixel(3, k)), fill=GRID)
+    return picture
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]), float(sys.argv[2])).save(sys.argv[3], optimize=True)
