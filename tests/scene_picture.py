@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap_ros2.reader import read_ros2_messages
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from PIL import Image, ImageDraw
 
 CUBE, CYLINDER, TEXT = 1, 3, 9  # visualization_msgs/Marker
@@ -60,19 +61,20 @@ def read(log: Path, seconds: float) -> tuple[list[Any], dict[str, Place]]:
     """
     markers: list[Any] = []
     frames = {"table": Place(0.0, 0.0, 0.0, 0.0)}
-    began = None
-    for message in read_ros2_messages(str(log)):
-        began = message.log_time_ns if began is None else began
-        if message.log_time_ns - began > 1e9 * seconds:
-            break
-        if message.channel.topic == "/scene":
-            markers += message.ros_msg.markers
-        elif message.channel.topic == "/tf":
-            for one in message.ros_msg.transforms:
-                if one.header.frame_id != "table":
-                    raise ValueError(f"expected transforms from `table`, found {one.header}")
-                moved = one.transform
-                frames[one.child_frame_id] = place(moved.translation, moved.rotation)
+    with log.open("rb") as file:
+        reader: Any = make_reader(file, decoder_factories=[DecoderFactory()])
+        began = reader.get_summary().statistics.message_start_time
+        for one in reader.iter_decoded_messages(["/scene", "/tf"]):
+            if one.message.log_time - began > round(1e9 * seconds):
+                break
+            if one.channel.topic == "/scene":
+                markers += one.decoded_message.markers
+                continue
+            for moved in one.decoded_message.transforms:
+                if moved.header.frame_id != "table":
+                    raise ValueError(f"expected transforms from `table`, found {moved.header}")
+                to = moved.transform
+                frames[moved.child_frame_id] = place(to.translation, to.rotation)
     return markers, frames
 
 

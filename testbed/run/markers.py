@@ -18,8 +18,9 @@ PALE, WHITE = (0.8, 0.2, 0.2, 0.3), (1.0, 1.0, 1.0, 1.0)
 def scene_of(experiment: Experiment) -> bytes:
     """All markers of an experiment, which last for the whole log.
 
-    Vehicles move with /tf; an obstacle is where it is at first. Its solid core is as tall as a
-    vehicle. The disc on the table has the danger radius, which only a vehicle's centre must keep.
+    Vehicles move with /tf; an obstacle is where it is at first, and says so if it moves. Its solid
+    core is as tall as a vehicle. The disc on the table has the danger radius, which only a
+    vehicle's centre must keep.
     """
     top = (*experiment.table.size, THICK)
     markers = [_marker("table", TABLE, CUBE, top, STONE, (0, 0, -THICK / 2))]
@@ -30,6 +31,9 @@ def scene_of(experiment: Experiment) -> bytes:
         if core > 0.0:
             size = (core, core, TALL)
             markers.append(_marker(f"obstacles/{name}", TABLE, CYLINDER, size, RED, up))
+        if one.velocity != (0.0, 0.0):
+            moves = _marker(f"names/{name}", TABLE, TEXT, (0, 0, 0.1), WHITE, up)
+            markers.append(moves | {"text": f"{name} at 0 s, moves"})
     for name, setup in experiment.vehicles.items():
         wide = 2.0 * setup.model.radius
         body, nose = (0, 0, TALL / 2), (setup.model.radius / 2, 0, TALL)

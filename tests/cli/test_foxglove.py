@@ -147,6 +147,16 @@ def test_the_scene_shows_things_where_they_are(testbed, here, shown):
     assert colour(3.1, 0.0) == colour(0.0, -3.1) == "paper"
 
 
+def test_an_obstacle_that_moves_says_that_it_is_drawn_where_it_began(testbed, here):
+    pytest.importorskip("PIL.Image", reason="the dashboard extra is not installed")
+    from scene_picture import TEXT, read
+
+    testbed("run", "xue2021_table_dynamic", "duration_s=2", "criteria={}", "--out", "out")
+    markers, _ = read(Path("out/log.mcap"), 1.0)
+    labels = [one.text for one in markers if one.type == TEXT]
+    assert labels == ["o1 at 0 s, moves", "sat1", "sat2", "sat3"]
+
+
 def test_a_scene_without_a_transform_is_an_error(testbed, here, monkeypatch):
     pytest.importorskip("PIL.Image", reason="the dashboard extra is not installed")
     import scene_picture
