@@ -16,8 +16,8 @@ from mcap_ros2.decoder import DecoderFactory
 from PIL import Image, ImageDraw
 
 CUBE, CYLINDER, TEXT = 1, 3, 9  # visualization_msgs/Marker
-SCALE = 110  # pixels per metre
-HALF = 3.3  # metres from the middle of the picture to its edges
+SIZE = 726  # of the picture, in pixels
+MARGIN = 1.1  # width of the picture in that of the table
 PAPER, GRID, INK = (255, 255, 255), (200, 200, 200), (20, 20, 20)
 CORNERS = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
 ROUND = [(0.5 * math.cos(k * math.pi / 36), 0.5 * math.sin(k * math.pi / 36)) for k in range(72)]
@@ -49,9 +49,21 @@ def place(position: Any, turn: Any) -> Place:
     return Place(position.x, position.y, position.z, 2.0 * math.atan2(turn.z, turn.w))
 
 
-def pixel(x: float, y: float) -> tuple[float, float]:
-    """Where a point of the table is in the picture: x to the right, y up."""
-    return SCALE * (HALF + x), SCALE * (HALF - y)
+class View(NamedTuple):
+    """The table from above, x to the right and y up."""
+
+    wide: float  # of what is shown [m]
+
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """Where a point of the table is in the picture."""
+        scale = SIZE / self.wide
+        return scale * (0.5 * self.wide + x), scale * (0.5 * self.wide - y)
+
+
+def view_of(markers: list[Any]) -> View:
+    """The view that shows the whole table."""
+    (table,) = [one for one in markers if one.ns == "table"]
+    return View(MARGIN * max(table.scale.x, table.scale.y))
 
 
 def read(log: Path, seconds: float) -> tuple[list[Any], dict[str, Place]]:
@@ -81,8 +93,8 @@ def read(log: Path, seconds: float) -> tuple[list[Any], dict[str, Place]]:
 def draw(log: Path, seconds: float) -> Image.Image:
     """The picture; a marker whose frame has no transform is an error, as in the panel."""
     markers, frames = read(log, seconds)
-    size = round(2 * SCALE * HALF)
-    picture = Image.new("RGB", (size, size), PAPER)
+    view = view_of(markers)
+    picture = Image.new("RGB", (SIZE, SIZE), PAPER)
     pen = ImageDraw.Draw(picture, "RGBA")  # mixes colours
     shapes = []
     for one in markers:
@@ -94,15 +106,23 @@ def draw(log: Path, seconds: float) -> Image.Image:
         rgba = one.color.r, one.color.g, one.color.b, one.color.a
         colour = tuple(round(255 * part) for part in rgba)
         if one.type == TEXT:
-            pen.text(pixel(at.x, at.y - 0.3), one.text, fill=INK, anchor="mm", font_size=18)
+            pen.text(
+                view.pixel(at.x, at.y - 0.05 * view.wide),
+                one.text,
+                fill=INK,
+                anchor="mm",
+                font_size=18,
+            )
             continue
         outline = {CUBE: CORNERS, CYLINDER: ROUND}[one.type]
-        points = [pixel(*at.of(one.scale.x * x, one.scale.y * y)) for x, y in outline]
+        points = [view.pixel(*at.of(one.scale.x * x, one.scale.y * y)) for x, y in outline]
         pen.polygon(points, fill=colour)
         if one.ns == "table":
-            for k in range(-3, 4):
-                pen.line((*pixel(k, -3), *pixel(k, 3)), fill=GRID)
-                pen.line((*pixel(-3, k), *pixel(3, k)), fill=GRID)
+            x, y = 0.5 * one.scale.x, 0.5 * one.scale.y
+            for k in range(-int(x), int(x) + 1):
+                pen.line((*view.pixel(k, -y), *view.pixel(k, y)), fill=GRID)
+            for k in range(-int(y), int(y) + 1):
+                pen.line((*view.pixel(-x, k), *view.pixel(x, k)), fill=GRID)
     return picture
 
 

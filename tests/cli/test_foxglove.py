@@ -112,14 +112,14 @@ def test_a_pose_is_that_of_the_vehicle_at_its_stamp(testbed, here):
 def test_the_scene_shows_things_where_they_are(testbed, here, shown):
     """Drawn from /scene and /tf alone; a vehicle overlaps a danger disc, but never a solid core."""
     pytest.importorskip("PIL.Image", reason="the dashboard extra is not installed")
-    from scene_picture import draw, pixel
+    from scene_picture import View, draw
 
     testbed("run", "zhang2023_table", "duration_s=40", "criteria={}", "--out", "out")
     picture = draw(Path("out/log.mcap"), shown)
     flown, truth = load(Path("out/config.toml")), Columns(LogReader(Path("out/log.mcap")))
 
     def colour(x: float, y: float) -> str:
-        r, g, b = picture.getpixel(pixel(x, y))
+        r, g, b = picture.getpixel(View(6.6).pixel(x, y))  # of a table of 6 m
         if min(r, g, b) > 250:
             return "paper"
         if r > 1.5 * b:
