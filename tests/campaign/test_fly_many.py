@@ -71,6 +71,16 @@ def test_a_law_that_hangs_in_this_process_ends_its_own_run_only(hold, tmp_path, 
     assert "hangs.py:6, in force: did not return" in fault
 
 
+def test_a_flight_is_the_same_alone_and_among_64(hold):
+    many = [hold.with_(seed=seed) for seed in range(64)]
+    table = testbed.fly_many(many, jobs=2)
+    for k in (0, 31, 63):
+        alone = testbed.fly_many([many[k]], jobs=1)
+        for name in table:
+            assert repr(table[name][k]) == repr(alone[name][0]), (k, name)
+    assert len(set(table["impulse_ns"].tolist())) > 32  # seeds matter
+
+
 def test_different_experiments_share_a_table(hold):
     three = testbed.load("zhang2023_table").with_(duration_s=1)
     table = testbed.fly_many([hold, three, hold.with_(seed=5)], jobs=2)
